@@ -28,8 +28,11 @@ const RUNS: &str = "runs";
 pub struct Store {
     root: PathBuf,
     /// The files of artifacts that were verified, if they are verified only once.
-    verified: Option<Arc<Mutex<BTreeMap<PathBuf, Vec<FileState>>>>>,
+    verified: Option<Arc<Mutex<Verified>>>,
 }
+
+/// The files of artifacts by the artifact's folder.
+type Verified = BTreeMap<PathBuf, Vec<FileState>>;
 
 /// Name, device, inode, length, and times of the last write and of the last change of a file. Every write changes the last one.
 type FileState = (OsString, u64, u64, u64, [i64; 2], [i64; 2]);

@@ -7,7 +7,7 @@ use crate::{CurveRow, Measure};
 columns! {
     /// A mean with its interval.
     #[derive(Copy)]
-    pub struct Mean {
+    pub struct MeanOf {
         /// The mean.
         pub mean: f64,
         /// Lower end of its interval.
@@ -20,7 +20,7 @@ columns! {
 columns! {
     /// A rate with its interval.
     #[derive(Copy)]
-    pub struct Rate {
+    pub struct RateOf {
         /// The rate.
         pub rate: f64,
         /// Lower end of its interval.
@@ -33,27 +33,27 @@ columns! {
 columns! {
     /// A row of the table `budgets`.
     #[derive(Copy)]
-    pub struct Budget {
+    pub struct BudgetOf {
         /// Number of control steps that are counted.
         pub budget: u32,
         /// Score.
-        pub score: Mean,
+        pub score: MeanOf,
         /// Coverage.
-        pub coverage: Mean,
+        pub coverage: MeanOf,
         /// IoU.
-        pub iou: Mean,
+        pub iou: MeanOf,
         /// Success.
-        pub success: Rate,
+        pub success: RateOf,
     }
 }
 
-impl Budget {
-    fn of(&self, measure: Measure) -> Mean {
+impl BudgetOf {
+    fn of(&self, measure: Measure) -> MeanOf {
         match measure {
             Measure::Score => self.score,
             Measure::Coverage => self.coverage,
             Measure::Iou => self.iou,
-            Measure::Success => Mean {
+            Measure::Success => MeanOf {
                 mean: self.success.rate,
                 low: self.success.low,
                 high: self.success.high,
@@ -75,10 +75,10 @@ pub fn curves(
     if !rollouts.manifest().tables.contains_key(BUDGETS) {
         return Ok(Vec::new());
     }
-    let budgets: Vec<Budget> = rollouts.table_named(BUDGETS)?.read()?;
+    let budgets: Vec<BudgetOf> = rollouts.table_named(BUDGETS)?.read()?;
     let curve = |&measure: &Measure| {
-        let point = move |budget: &Budget| {
-            let Mean { mean, low, high } = budget.of(measure);
+        let point = move |budget: &BudgetOf| {
+            let MeanOf { mean, low, high } = budget.of(measure);
             CurveRow {
                 row: row.to_owned().into(),
                 column: column.to_owned().into(),

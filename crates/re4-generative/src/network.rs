@@ -48,6 +48,10 @@ const BLOCKS: usize = 4;
 
 /// A network.
 #[derive(Module, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a program has few networks, and their weights are on the heap"
+)]
 pub enum Network {
     /// The U-Net.
     UNet(UNet),

@@ -1,4 +1,5 @@
 //! A chunk depends only on its own request, and training resumes with equal bytes.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop where it fails")]
 
 use rand_pcg::Pcg64;
 use re4_generative::config::FlowConfig;

@@ -118,8 +118,7 @@ impl Disturber {
         let what = match disturbance.kind {
             Disturbed::Object => Displaced::Object,
             Disturbed::Pusher => Displaced::Pusher,
-            Disturbed::Either if coin => Displaced::Object,
-            Disturbed::Either => Displaced::Pusher,
+            Disturbed::Either => [Displaced::Pusher, Displaced::Object][usize::from(coin)],
         };
         Self {
             disturbance,

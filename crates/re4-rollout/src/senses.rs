@@ -216,12 +216,11 @@ impl<'a, D: Domain> Sensing<'a, D> {
         let shot = &mut self.shots[at];
         if !shot.fresh {
             let motion = self.observed_from_world.as_ref().filter(|_| moved);
-            match self.moments.front() {
-                Some(moment) => self.env.render(&moment.view, motion, camera, &mut shot.image)?,
-                None => {
-                    let view = self.env.view();
-                    self.env.render(&view, motion, camera, &mut shot.image)?;
-                }
+            if let Some(moment) = self.moments.front() {
+                self.env.render(&moment.view, motion, camera, &mut shot.image)?;
+            } else {
+                let view = self.env.view();
+                self.env.render(&view, motion, camera, &mut shot.image)?;
             }
             self.asked.images += 1;
             shot.fresh = true;

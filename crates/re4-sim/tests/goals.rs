@@ -1,5 +1,4 @@
 //! Push-T with other goals and with displaced blocks, against an oracle that samples points.
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 use re4_geometry::{Point2, Pose2};
 use re4_sim::{

@@ -62,7 +62,7 @@ fn class_of(value: u64) -> usize {
     if value < CLASSES as u64 {
         return value as usize;
     }
-    let exponent = 63 - value.leading_zeros();
+    let exponent = value.ilog2();
     let leading = (value >> (exponent - CLASS_BITS)) as usize - CLASSES;
     (exponent - CLASS_BITS + 1) as usize * CLASSES + leading
 }

@@ -153,6 +153,9 @@ table! {
     }
 }
 
+/// Frames with their weights, the nearest first.
+type Weighted = Vec<(f64, usize)>;
+
 /// The decision record of a query.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct GpiDecision<D: Domain> {
@@ -262,11 +265,7 @@ impl<D: Lookup> GpiPolicy<D> {
     }
 
     /// Makes a new query. Returns the decision and the frames that are combined with their weights, the nearest first.
-    fn decide(
-        &mut self,
-        proprio: D::Proprio,
-        object: D::Pose,
-    ) -> Result<(GpiDecision<D>, Vec<(f64, usize)>), LookupError> {
+    fn decide(&mut self, proprio: D::Proprio, object: D::Pose) -> Result<(GpiDecision<D>, Weighted), LookupError> {
         let mut state = self.memory.query(&proprio, &object)?;
         let sigma = self.noise.next_sigma();
         if let Some(sigma) = sigma {

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
-use re4_artifact::Stage;
 use re4_artifact::episodes::{FrameRow, SpatialColumns};
+use re4_artifact::{Row as _, Stage, columns};
 use re4_geometry::spatial::{rotation_angle, rotation_from_vector};
 use re4_index::{IndexRow, SpatialState};
 use re4_rollout::{ArmAction, ArmState, Space};
@@ -106,12 +106,26 @@ fn raw(arm: &ArmState, object: &Isometry3<f64>) -> [f64; 10] {
     [e.x, e.y, e.z, o.x, o.y, o.z, r.x, r.y, r.z, arm.finger_separation()]
 }
 
+columns! {
+    /// The columns of table `frames` that are read.
+    pub struct GripperOf {
+        /// Number of the demonstration.
+        pub episode: u32,
+        /// Number of the frame.
+        pub frame: u32,
+        /// Joint positions of the fingers.
+        #[prefix = "finger"]
+        pub fingers: [f64; 2],
+    }
+}
+
 /// Reads the recorded joint positions of the fingers, by demonstration and frame. The index does not contain them.
 pub(crate) fn read_fingers(inputs: &Inputs<'_>) -> Result<BTreeMap<(u32, u32), [f64; 2]>, OpenError> {
-    let rows: Vec<FrameRow<SpatialColumns>> = inputs.episodes.read()?;
+    let frames = inputs.episodes.table(FrameRow::<SpatialColumns>::table())?;
+    let rows: Vec<GripperOf> = frames.read()?;
     Ok(rows
         .into_iter()
-        .map(|row| ((row.episode, row.frame), row.recorded.fingers))
+        .map(|row| ((row.episode, row.frame), row.fingers))
         .collect())
 }
 

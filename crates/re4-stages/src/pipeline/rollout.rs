@@ -86,7 +86,7 @@ pub struct RolloutSection {
     pub noise: Option<NoiseSection>,
     /// Push-T: the goal pose of the block. `"random"`: by the seed, at any angle and anywhere at a distance of at least 30 px from
     /// the walls, but not where the block covers more than half of it at the start. `[x, y, theta]`: at this pose, in px and rad.
-    /// Default: the task's goal, `[256, 256, 0.785]`. Coverage, IoU, success and images are those of the episode's goal. Policies
+    /// Default: the task's goal, `[256, 256, 0.785]`. Coverage, `IoU`, success and images are those of the episode's goal. Policies
     /// observe and act in a frame that moves with the goal, in which the goal is where it is in the demonstrations.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("domain" = "plane"))]

@@ -45,7 +45,7 @@ pub fn read_suite(path: &Path, selection: &Selection) -> Result<(Suite, Vec<Cell
     }
     let mut suite: Suite = serde_path_to_error::deserialize(toml::Value::Table(table)).map_err(|error| {
         let place = counted_from_one(&error.path().to_string());
-        all(path, vec![placed(&place, &error.into_inner().message())])
+        all(path, vec![placed(&place, error.into_inner().message())])
     })?;
     if suite.title.is_empty() {
         suite.title = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

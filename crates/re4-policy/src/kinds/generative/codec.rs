@@ -1,8 +1,7 @@
 //! Observations and actions as vectors of numbers.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use re4_artifact::episodes::{FrameRow, SpatialColumns};
-use re4_artifact::{Artifact, Row as _, Stage, columns};
+use re4_artifact::Stage;
 use re4_generative::{Demo, Kind};
 use re4_geometry::{Point2, Pose2, wrap_to_two_pi};
 use re4_index::{IndexRow, PlanarState, SpatialState};
@@ -12,6 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::kinds::{Inputs, OpenError};
+use crate::lookup::read_fingers;
 
 /// The meaning of the vectors that a network receives and generates.
 pub trait Codec<D: Domain>: Send + Sync {
@@ -147,19 +147,6 @@ fn pose_kinds() -> impl Iterator<Item = Kind> {
     std::iter::repeat_n(Kind::Range, 3).chain(std::iter::repeat_n(Kind::Unchanged, 6))
 }
 
-columns! {
-    /// The columns of table `frames` that are read.
-    pub struct Fingers {
-        /// Number of the demonstration.
-        pub episode: u32,
-        /// Number of the frame.
-        pub frame: u32,
-        /// Joint positions of the fingers.
-        #[prefix = "finger"]
-        pub fingers: [f64; 2],
-    }
-}
-
 impl Codec<Space> for SpaceCodec {
     fn name(&self) -> &'static str {
         "pose"
@@ -200,13 +187,11 @@ impl Codec<Space> for SpaceCodec {
 
     fn read(&self, inputs: &Inputs<'_>) -> Result<Vec<Demo>, OpenError> {
         let rows: Vec<IndexRow<SpatialState>> = inputs.of(Stage::Index)?.read()?;
-        let fingers = read_fingers(inputs.episodes)?;
+        let fingers = read_fingers(inputs)?;
         let demos = rows.chunk_by(|a, b| a.episode == b.episode).map(|rows| {
             let arm = |row: &IndexRow<SpatialState>| ArmState {
                 eef: row.state.eef,
-                fingers: fingers
-                    .binary_search_by_key(&(row.episode, row.frame), |(place, _)| *place)
-                    .map_or([f64::NAN; 2], |at| fingers[at].1),
+                fingers: fingers.get(&(row.episode, row.frame)).copied().unwrap_or([f64::NAN; 2]),
             };
             Demo {
                 number: rows[0].episode,
@@ -229,15 +214,6 @@ impl Codec<Space> for SpaceCodec {
         });
         Ok(demos.collect())
     }
-}
-
-/// The positions of the fingers in every frame, sorted by demonstration and frame.
-fn read_fingers(episodes: &Artifact) -> Result<Vec<((u32, u32), [f64; 2])>, OpenError> {
-    let rows = episodes.table(FrameRow::<SpatialColumns>::table())?.read::<Fingers>()?;
-    Ok(rows
-        .into_iter()
-        .map(|row| ((row.episode, row.frame), row.fingers))
-        .collect())
 }
 
 #[cfg(test)]

@@ -226,7 +226,7 @@ impl<D: Recorded> Shared<D> {
         }
         let (demo, frame) = self.windows.place(best.1);
         Nearest {
-            demo: self.names.of(demo).to_string(),
+            demo: self.names.of(demo).clone(),
             frame,
             distance: (best.0 / actions.len() as f64).sqrt(),
         }

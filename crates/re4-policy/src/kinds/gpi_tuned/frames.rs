@@ -9,6 +9,7 @@ use crate::lookup::Latent;
 
 /// A frame of a demonstration.
 #[derive(Debug, Clone, PartialEq)]
+#[expect(clippy::struct_field_names, reason = "the number of a frame in its demonstration")]
 pub(super) struct Frame {
     pub(super) demo: u32,
     pub(super) frame: u32,

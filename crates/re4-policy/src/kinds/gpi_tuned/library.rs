@@ -12,6 +12,10 @@ use crate::lookup::read_fingers;
 
 /// Parts of the method that can be disabled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent parts of the method that can be disabled"
+)]
 pub(super) struct Switches {
     pub(super) gate: bool,
     pub(super) vote: bool,

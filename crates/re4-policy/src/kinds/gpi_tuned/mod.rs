@@ -57,6 +57,10 @@ impl TunedFor {
 /// Settings of the tuned GPI. All other constants are the authors' for the task.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "independent parts of the method that can be disabled"
+)]
 pub struct SpaceGpiTuned {
     /// The task whose constants are used. Default: the task of the pipeline.
     #[serde(skip_serializing_if = "Option::is_none")]

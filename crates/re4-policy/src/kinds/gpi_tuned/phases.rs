@@ -354,13 +354,11 @@ impl Phases {
         let limits = &self.thresholds;
         let off = off_target(object, &self.target);
         match self.rule {
-            Rule::Lift => Stage::Lift,
             Rule::Can if since_lift >= LIFT_STEPS => Stage::Transport,
-            Rule::Can => Stage::Lift,
             Rule::Square if off <= limits.insert && object.translation.z <= limits.insert_height => Stage::Insert,
             Rule::Square if off <= limits.pre_insert => Stage::PreInsert,
             Rule::Square if off <= limits.transport => Stage::Transport,
-            Rule::Square => Stage::Lift,
+            Rule::Lift | Rule::Can | Rule::Square => Stage::Lift,
         }
     }
 }

@@ -73,7 +73,7 @@ mod tests {
     #[test]
     fn numbers_have_units_and_signs() {
         assert_eq!(
-            [time(3.14), time(812.4), time(4567.0), time(2.5e6)],
+            [time(3.12), time(812.4), time(4567.0), time(2.5e6)],
             ["3.1 µs", "812 µs", "4.57 ms", "2.50 s"]
         );
         assert_eq!(

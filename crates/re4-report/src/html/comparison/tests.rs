@@ -18,7 +18,7 @@ fn score(row: &str, column: &str, value: Option<f64>) -> CellRow {
         rollouts: value.map(|_| 4),
         value,
         low: value.map(|value| value / 2.0),
-        high: value.map(|value| (1.0 + value) / 2.0),
+        high: value.map(|value| f64::midpoint(1.0, value)),
         printed: None,
         max_steps: Some(60),
         seeds: Some("0..4".to_owned()),
