@@ -90,9 +90,10 @@ impl GenerativeConfig {
             network: NetworkSize::Mlp,
             history: 2,
             horizon: 16,
-            steps: 40_000,
+            steps: 60_000,
             batch: 256,
-            learning_rate: 3e-4,
+            // Ten times that of Diffusion Policy, whose network is larger: the loss after 2,500 steps is 0.037 instead of 0.045 with 3e-4.
+            learning_rate: 1e-3,
             warm_up: 500,
             weight_decay: 1e-6,
             beta: 0.95,
@@ -107,8 +108,7 @@ impl GenerativeConfig {
     pub fn flow() -> Self {
         Self {
             beta: 0.9,
-            batch: 1024,
-            steps: 24_000,
+            steps: 30_000,
             ..Self::diffusion()
         }
     }
