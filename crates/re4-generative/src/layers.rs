@@ -88,6 +88,14 @@ fn push<'a>(linear: &'a mut Linear, (layout, fan_in): (Layout, usize), prefix: &
     }
 }
 
+/// Applies a linear layer to all steps of all chunks, as one matrix product.
+fn every_step(linear: &Linear, x: Tensor<3>) -> Tensor<3> {
+    let [batch, time, channels] = x.dims();
+    let flat = linear.forward(x.reshape([batch * time, channels]));
+    let outputs = flat.dims()[1];
+    flat.reshape([batch, time, outputs])
+}
+
 /// A linear layer.
 #[derive(Module, Debug)]
 pub struct Dense {
@@ -115,9 +123,14 @@ impl Dense {
         }
     }
 
-    /// Applies the layer to the last dimension.
-    pub fn forward<const D: usize>(&self, x: Tensor<D>) -> Tensor<D> {
+    /// Applies the layer to `[batch, inputs]`.
+    pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         self.linear.forward(x)
+    }
+
+    /// Applies the layer to every step of `[batch, time, inputs]`.
+    pub fn every_step(&self, x: Tensor<3>) -> Tensor<3> {
+        every_step(&self.linear, x)
     }
 }
 
@@ -157,13 +170,13 @@ impl Conv {
     /// Applies the convolution to `[batch, time, inputs]`.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         if self.taps == 1 {
-            return self.linear.forward(x);
+            return every_step(&self.linear, x);
         }
         let [batch, time, channels] = x.dims();
         let padding = Tensor::zeros([batch, self.taps / 2, channels], &x.device());
         let padded = Tensor::cat(vec![padding.clone(), x, padding], 1);
         let windows = (0..self.taps).map(|tap| padded.clone().narrow(1, tap, time)).collect();
-        self.linear.forward(Tensor::cat(windows, 2))
+        every_step(&self.linear, Tensor::cat(windows, 2))
     }
 }
 
@@ -218,7 +231,7 @@ impl Down {
         }
         let pairs = x.reshape([batch, time / 2, 2 * channels]);
         let before = shifted(pairs.clone().narrow(2, channels, channels), true);
-        self.linear.forward(Tensor::cat(vec![before, pairs], 2))
+        every_step(&self.linear, Tensor::cat(vec![before, pairs], 2))
     }
 }
 
@@ -267,7 +280,7 @@ impl Up {
             return (flat + self.bias.val().unsqueeze()).reshape([batch, time, channels]);
         }
         // The input at t contributes to the outputs 2t - 1 to 2t + 2, one per tap.
-        let taps = self.weight.forward(x);
+        let taps = every_step(&self.weight, x);
         let tap = |number: usize| taps.clone().narrow(2, number * channels, channels);
         let even = tap(1) + shifted(tap(3), true);
         let odd = tap(2) + shifted(tap(0), false);

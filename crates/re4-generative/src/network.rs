@@ -214,7 +214,7 @@ impl ResidualBlock {
         let hidden = self.second.forward(hidden);
         hidden
             + match &self.skip {
-                Some(skip) => skip.forward(x),
+                Some(skip) => skip.every_step(x),
                 None => x,
             }
     }
@@ -311,7 +311,7 @@ impl UNet {
             }
             x = up.forward(x);
         }
-        self.output.forward(self.last.forward(x))
+        self.output.every_step(self.last.forward(x))
     }
 }
 

@@ -20,8 +20,11 @@ use crate::{GenerativeConfig, GenerativeError};
 /// The setting that names the backend.
 pub const BACKEND: &str = "policy.training.backend";
 
-/// Number of checkpoints of a training, and of points of its curve.
+/// Number of checkpoints of a training, and of points of its curve, unless it is short.
 const EPOCHS: u32 = 50;
+
+/// Minimum number of steps between two checkpoints, which have four times the size of the weights.
+const MINIMUM_STEPS: u32 = 100;
 
 /// Highest decay of the moving average of the weights.
 const MAXIMUM_DECAY: f64 = 0.9999;
@@ -60,7 +63,7 @@ impl Method {
 
 /// Number of steps per epoch.
 fn steps_per_epoch(config: &GenerativeConfig) -> u32 {
-    config.steps.div_ceil(EPOCHS).max(1)
+    config.steps.div_ceil(EPOCHS).max(MINIMUM_STEPS.min(config.steps))
 }
 
 /// Number of steps of a training, which is at least that of the settings.

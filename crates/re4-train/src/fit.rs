@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
+use crate::memory::keep_freed_memory;
 use crate::{Checkpoints, Schedule, TrainError};
 
 /// Number of batches that are loaded in advance.
@@ -115,6 +116,7 @@ pub fn fit<L: Learner, E: From<L::Error> + From<TrainError>>(
     checkpoints: &Checkpoints,
     mut on_step: impl FnMut(&Progress) -> Result<(), E>,
 ) -> Result<Fitted, E> {
+    keep_freed_memory();
     let mut epochs: Vec<Epoch> = Vec::new();
     if let Some(last) = checkpoints.last()? {
         learner.restore(last.parts).map_err(|why| TrainError::Checkpoint {

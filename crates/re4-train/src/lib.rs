@@ -7,6 +7,7 @@ mod backend;
 mod checkpoint;
 mod error;
 mod fit;
+mod memory;
 mod sample;
 mod schedule;
 pub mod tensors;
