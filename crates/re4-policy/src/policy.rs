@@ -21,6 +21,7 @@ use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, plan, waypoints};
 use crate::workspace::Workspace;
+
 /// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
 const MAX_PLANS: usize = 8;
 

@@ -38,8 +38,8 @@ impl PlanKind {
 pub struct Plan {
     /// How the path was found.
     pub kind: PlanKind,
-    /// Polyline from the pusher's position to the set-point, both included, in the frame of the observations, in pixels. Only the pusher's
-    /// position if Replan is disabled.
+    /// Polyline from the pusher's position to the set-point, both included, in the frame of the observations, in pixels. Only the
+    /// pusher's position if Replan is disabled.
     pub path: Vec<Point2>,
     /// Number of nodes of the searched tree or graph.
     pub nodes: u32,
@@ -84,7 +84,8 @@ impl Obstacle {
     }
 }
 
-/// Plans a path from `start` to `goal` with the block fixed at `block`. All in the frame of `workspace`, in pixels. Only the RRT planner uses `random`.
+/// Plans a path from `start` to `goal` with the block fixed at `block`. All in the frame of `workspace`, in pixels. Only the RRT
+/// planner uses `random`.
 ///
 /// If an end is inside the keep-out, as for a pusher in contact, the keep-out shrinks to the distance of that end from the block,
 /// so that the pusher can leave and make contact.

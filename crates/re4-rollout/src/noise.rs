@@ -19,8 +19,8 @@ pub struct PoseNoise {
 }
 
 impl PoseNoise {
-    /// Creates a generator of errors with the standard deviations `translation`, in metres (Push-T: px) along each axis of the world frame,
-    /// and `rotation`, in rad for each component of a rotation vector in the world frame. The same seed gives the same errors.
+    /// Creates a generator of errors with the standard deviations `translation`, in metres (Push-T: px) along each axis of the
+    /// world frame, and `rotation`, in rad for each component of a rotation vector in the world frame. The same seed gives the same errors.
     pub fn new(seed: u64, translation: f64, rotation: f64) -> Self {
         // The stream number is the ASCII code of "pose_noise", so that the errors are independent of other numbers of the seed.
         Self {

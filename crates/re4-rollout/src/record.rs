@@ -18,7 +18,8 @@ pub trait Explained<D: Domain> {
     /// Row type of the policy-specific table, `decisions_<policy>`.
     type Detail: Row;
 
-    /// Returns the columns that all policies share, with poses in the frame of the policy's observations. `names` maps the number of a demonstration to its name.
+    /// Returns the columns that all policies share, with poses in the frame of the policy's observations. `names` maps the number
+    /// of a demonstration to its name.
     fn explanation(&self, names: &DemoNames) -> Explanation<D>;
 
     /// Returns the row of the policy-specific table. `seed` and `decision` identify the rollout and the number of the decision in
