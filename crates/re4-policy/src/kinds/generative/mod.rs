@@ -194,7 +194,8 @@ struct Shared<D: Recorded> {
 }
 
 impl<D: Recorded> Shared<D> {
-    /// Generates the normalised actions to execute.
+    /// Generates the normalised actions to execute, limited to the range of the demonstrations. The samplers of diffusion have this
+    /// limit themselves; a flow starts at the last action, so that its errors could grow from chunk to chunk.
     fn generate(&self, request: Request) -> Result<Vec<f32>, GenerativeError> {
         let chunk = self.batches.generate(request)?;
         let channels = self.card.actions.dimensions();
@@ -207,6 +208,7 @@ impl<D: Recorded> Shared<D> {
             .into_iter()
             .skip(skipped)
             .take(self.execution.actions * channels)
+            .map(|value| value.clamp(-1.0, 1.0))
             .collect())
     }
 
