@@ -13,7 +13,7 @@ use burn::module::{Module, RunningState};
 use burn::store::pytorch_reader::{DType, PytorchReader, Tensor as TorchTensor};
 use burn::tensor::{Device, Tensor, TensorData};
 use re4_fault::{Fault, fault};
-use safetensors::tensor::TensorView;
+use re4_train::tensors;
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 
 use crate::EncoderError;
@@ -70,17 +70,9 @@ pub fn to_bytes(encoder: &Encoder) -> Result<Vec<u8>, EncoderError> {
         for (name, slot) in encoder.clone().slots() {
             let (shape, values) =
                 values_of(slot).map_err(|why| fault!("{name} cannot be read from its device ({why})"))?;
-            let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-            tensors.insert(name, (shape, bytes));
+            tensors.insert(name, (shape, values));
         }
-        let views: Result<Vec<_>, _> = tensors
-            .iter()
-            .map(|(name, (shape, bytes))| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
-            .collect();
-        // Without metadata, because the order of its keys is not deterministic.
-        views
-            .and_then(|views| safetensors::serialize(views, None))
-            .map_err(|error: SafeTensorError| fault!("the weights cannot be serialised ({error})"))
+        tensors::to_bytes(&tensors)
     };
     pack().map_err(|why| weights_error(Path::new("of the trained encoder"), why))
 }

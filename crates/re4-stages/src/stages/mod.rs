@@ -10,6 +10,7 @@ mod scenes;
 mod segment;
 mod train;
 mod train_pose;
+mod training;
 
 pub use compare::{Compared, compare};
 pub(crate) use ingest::WorkerCrashed;

@@ -13,7 +13,6 @@ use re4_report::training_plot;
 use re4_rollout::Recorded;
 use re4_train::{Backend, Checkpoints, Epoch, Progress};
 use serde_json::{Value, json};
-use tracing::info;
 
 use crate::inputs::demos::demo_names;
 use crate::pipeline::Policy;
@@ -21,9 +20,6 @@ use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 1;
-
-/// Folder of checkpoints, below the artifacts folder.
-const CHECKPOINTS: &str = "checkpoints";
 
 /// File name of the plot.
 const PLOT: &str = "training.svg";
@@ -99,37 +95,15 @@ impl Runner {
             .input("episodes", episodes.artifact.key())
             .input("index", index.artifact.key());
         let key = recipe.key();
-        let folder = self.store.root().join(CHECKPOINTS).join(key.short());
-        let mut checkpoints = None;
-        let mut rate = None;
-        let built = self.build(&recipe, |writer| {
-            info!(checkpoints = %folder.display(), resumed = folder.is_dir(), "training the policy");
-            let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
-            let (summary, measured) =
-                self.fit_network(&training, (&episodes.artifact, &index.artifact), &key, kept, writer)?;
-            rate = measured;
-            Ok(summary)
-        })?;
-        // If the artifact existed already, this run has no checkpoints, but a run that was killed after publishing has left some.
-        if checkpoints.is_none() && folder.is_dir() {
-            checkpoints = Some(Checkpoints::open(&folder, *key.as_bytes())?);
-        }
-        if let Some(checkpoints) = checkpoints {
-            checkpoints.remove()?;
-        }
-        if let Some(rate) = rate {
-            // The rate differs between runs, so it is recorded outside of the artifact.
-            self.store.record_run(
-                Stage::Train,
+        self.build_trained(&recipe, "training_chunks_per_s", |writer, checkpoints| {
+            self.fit_network(
+                &training,
+                (&episodes.artifact, &index.artifact),
                 &key,
-                &json!({
-                    "wall_s": built.wall.as_secs_f64(),
-                    "threads": rayon::current_num_threads(),
-                    "training_chunks_per_s": rate,
-                }),
-            )?;
-        }
-        Ok(built)
+                checkpoints,
+                writer,
+            )
+        })
     }
 
     fn fit_network<D: Recorded>(

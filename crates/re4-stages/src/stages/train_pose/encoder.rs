@@ -21,7 +21,6 @@ use re4_ingest::{ImageRow, SourceFile};
 use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
 use re4_train::{Backend, Checkpoints, Epoch, Progress};
 use serde_json::{Value, json};
-use tracing::info;
 
 use super::demos::{Demo, Frames, TrainingData, read_demos, warnings};
 use super::{card, evaluate};
@@ -32,9 +31,6 @@ use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 6;
-
-/// Folder of checkpoints, below the artifacts folder.
-const CHECKPOINTS: &str = "checkpoints";
 
 /// Batch size of estimation, in images.
 const BATCH: usize = 64;
@@ -62,27 +58,16 @@ impl Runner {
             recipe = recipe.source(hash.as_bytes(), json!({ "weights": config.weights }));
         }
         let key = recipe.key();
-        let folder = self.store.root().join(CHECKPOINTS).join(key.short());
-        let mut checkpoints = None;
-        let built = self.build(&recipe, |writer| {
-            info!(checkpoints = %folder.display(), resumed = folder.is_dir(), "training the encoder");
-            let kept = checkpoints.insert(Checkpoints::open(&folder, *key.as_bytes())?);
-            let (summary, measured) =
-                self.fit_encoder(&config, weights_file.as_ref(), (episodes, modes), &key, kept, writer)?;
-            if let Some(rate) = measured {
-                // The rate differs between runs, so it is recorded outside of the artifact.
-                self.measured("training_images_per_s", json!(rate));
-            }
-            Ok(summary)
-        })?;
-        // If the artifact existed already, this run has no checkpoints, but a run that was killed after publishing has left some.
-        if checkpoints.is_none() && folder.is_dir() {
-            checkpoints = Some(Checkpoints::open(&folder, *key.as_bytes())?);
-        }
-        if let Some(checkpoints) = checkpoints {
-            checkpoints.remove()?;
-        }
-        Ok(built)
+        self.build_trained(&recipe, "training_images_per_s", |writer, checkpoints| {
+            self.fit_encoder(
+                &config,
+                weights_file.as_ref(),
+                (episodes, modes),
+                &key,
+                checkpoints,
+                writer,
+            )
+        })
     }
 
     fn fit_encoder(
