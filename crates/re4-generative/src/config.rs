@@ -31,7 +31,7 @@ impl Default for FlowConfig {
     fn default() -> Self {
         Self {
             deviation: 0.1,
-            stabilization: 0.0,
+            stabilization: 10.0,
             stochastic: false,
         }
     }
