@@ -54,7 +54,7 @@ def main():
     with tempfile.TemporaryDirectory() as temporary:
         folder = os.environ.get("QUERY_ARTIFACTS", temporary)
         if not pathlib.Path(folder, "rollouts").is_dir():
-            subprocess.run(["cargo", "build", "--release", "-q", "-p", "re4-stages", "--example", "many_artifacts"], check=True)
+            subprocess.run(["cargo", "build", "--release", "-q", "-p", "re4-pipe", "--example", "many_artifacts"], check=True)
             subprocess.run([EXAMPLE, folder, str(ARTIFACTS), str(ROWS)], check=True)
         commands = {
             "re4-pipe query": [BINARY, "query", SQL, folder],

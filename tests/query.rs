@@ -148,7 +148,10 @@ fn errors_of_queries() {
         vec!["query", "select * from result", "artifacts/rollouts"],
         vec!["query", "select sucess from results"],
         vec!["query", "select r.sucess from results r join decisions d using (seed)"],
-        vec!["query", "select seed from results where success = 'yes'"],
+        vec![
+            "query",
+            "select r.nothing, s.seed from results r join results s using (seed)",
+        ],
         vec!["query", "select median_of(steps) from results"],
         vec!["query", "select * from read_parquet('x.parquet')"],
         vec!["query", "select * from results", "missing"],

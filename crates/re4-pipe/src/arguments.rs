@@ -63,6 +63,7 @@ pub(crate) enum Command {
     /// Print the contents of an artifact: provenance, tables, columns with units, rows
     Inspect(InspectArguments),
     /// Ask a question about any artifacts in SQL; prints a table, JSON or CSV, or writes Parquet
+    #[cfg(feature = "query")]
     Query(QueryArguments),
     /// Write an HTML page about rollouts: scores, every seed, step budgets, and a viewer of every decision
     Report(ReportArguments),
@@ -97,12 +98,13 @@ impl Command {
             | Self::Video(VideoArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })
             | Self::Inspect(InspectArguments { common, .. })
-            | Self::Query(QueryArguments { common, .. })
             | Self::Report(ReportArguments { common, .. })
             | Self::Fetch(FetchArguments { common, .. })
             | Self::Doctor(DoctorArguments { common, .. })
             | Self::Schemas(SchemasArguments { common, .. })
             | Self::Reference(ReferenceArguments { common, .. }) => Some(common),
+            #[cfg(feature = "query")]
+            Self::Query(QueryArguments { common, .. }) => Some(common),
             Self::IngestWorker => None,
         }
     }
@@ -316,6 +318,7 @@ pub(crate) struct InspectArguments {
 }
 
 /// Arguments of `query`.
+#[cfg(feature = "query")]
 #[derive(Debug, Clone, Args)]
 pub(crate) struct QueryArguments {
     /// SELECT statement over the tables of the artifacts, such as "select seed, success from results"

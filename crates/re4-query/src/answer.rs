@@ -1,9 +1,10 @@
 //! Planning and running a query.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, set_hook, take_hook};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Once};
 
 use anyhow::Result;
 use polars::prelude::*;
@@ -64,7 +65,7 @@ impl Sources {
             known.add(name, schema.iter_names().map(ToString::to_string).collect());
             context.register(name, frame);
         }
-        let (frame, schema) = planned(&mut context, text).map_err(|error| fault_of(&error, &known))?;
+        let (frame, schema) = planned(&mut context, &statement.text()).map_err(|error| fault_of(&error, &known))?;
         let sorted = schema
             .iter_values()
             .enumerate()
@@ -106,9 +107,25 @@ fn planned(context: &mut SQLContext, text: &str) -> PolarsResult<(LazyFrame, Sch
     })
 }
 
-/// Runs a part of the engine, and returns a panic as an error.
+/// Number of calls of [`contained`] that are running.
+static CONTAINED: AtomicUsize = AtomicUsize::new(0);
+
+/// Runs a part of the engine, and returns a panic as an error, without printing it. The engine also panics on its own threads, so
+/// panics of all threads are not printed in the meantime.
 fn contained<T>(run: impl FnOnce() -> PolarsResult<T>) -> PolarsResult<T> {
-    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|panic| {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let previous = take_hook();
+        set_hook(Box::new(move |panic| {
+            if CONTAINED.load(Ordering::Relaxed) == 0 {
+                previous(panic);
+            }
+        }));
+    });
+    CONTAINED.fetch_add(1, Ordering::Relaxed);
+    let outcome = catch_unwind(AssertUnwindSafe(run));
+    CONTAINED.fetch_sub(1, Ordering::Relaxed);
+    outcome.unwrap_or_else(|panic| {
         let why = panic
             .downcast_ref::<String>()
             .map(String::as_str)

@@ -14,6 +14,10 @@ impl Known {
         self.0.insert(table.to_owned(), columns);
     }
 
+    fn has(&self, column: &str) -> bool {
+        self.0.values().flatten().any(|known| known == column)
+    }
+
     /// The columns of all tables: `results has artifact, seed, ...`.
     fn listed(&self) -> String {
         let tables: Vec<String> = self
@@ -31,6 +35,10 @@ pub(crate) fn fault_of(error: &PolarsError, known: &Known) -> Fault {
     let text = root.to_string();
     let first = text.lines().next().unwrap_or_default().trim_end_matches([':', ' ']);
     match missing_column(root, first) {
+        Some(column) if known.has(&column) => fault!(
+            "the engine does not find the column {column} in this part of the query";
+            "name it in a subquery, as in (select artifact, value as policy from settings) p"
+        ),
         Some(column) => fault!("there is no column {column}"; "use one of the columns: {}", known.listed()),
         None if matches!(root, PolarsError::IO { .. }) => {
             fault!("cannot run the query: {first}"; "check the disk and the permissions")

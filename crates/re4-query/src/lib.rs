@@ -4,8 +4,8 @@
 //! name. Tables of the same name in several artifacts are concatenated, and two columns say where a row comes from (see
 //! [`ARTIFACT`] and [`DATASET`]). [`Sources::query`] plans a `SELECT` statement and [`Answer`] runs it.
 //!
-//! The engine is polars. It reads the Parquet files lazily: only the columns that a query needs, in parts, with sorts and groups that
-//! exceed the memory written to temporary files. The program verifies the hash of a file before the engine decodes it.
+//! The engine is polars. It reads the Parquet files lazily and in parts: only the columns that a query needs. Only joins and sorts hold
+//! their rows in memory. The program verifies the hash of a file before the engine decodes it.
 //!
 //! Rows have a defined order (see [`Sources::query`]), so that the answer does not depend on the number of threads, apart from the last
 //! digits of sums and means of floats.

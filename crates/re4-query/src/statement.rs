@@ -6,8 +6,8 @@ use std::ops::ControlFlow;
 use anyhow::Result;
 use re4_fault::{bail, fault};
 use sqlparser::ast::{
-    Expr, GroupByExpr, ObjectName, OrderBy, OrderByExpr, OrderByKind, OrderByOptions, Query, SetExpr,
-    Statement as Parsed, TableFactor, Value, Visit as _, Visitor,
+    CastKind, DataType, Expr, GroupByExpr, ObjectName, OrderBy, OrderByExpr, OrderByKind, OrderByOptions, Query,
+    SetExpr, Statement as Parsed, TableFactor, Value, Visit as _, Visitor, visit_expressions_mut,
 };
 use sqlparser::dialect::GenericDialect;
 use sqlparser::parser::{Parser, ParserOptions};
@@ -42,12 +42,25 @@ impl Statement {
                 fault!("the query is not valid SQL: {reason}"; "correct the query, as in \"select * from results limit 5\"")
             })?;
         let mut parsed = parsed.into_iter();
-        let query = match (parsed.next(), parsed.next()) {
+        let mut query = match (parsed.next(), parsed.next()) {
             (Some(Parsed::Query(query)), None) => query,
             (None, _) => bail!("the query is empty"; "give a SELECT statement"),
             (Some(_), None) => bail!("the query is not a SELECT statement"; "give one SELECT statement"),
             (Some(_), Some(_)) => bail!("the query has several statements"; "give one SELECT statement"),
         };
+        let _ = visit_expressions_mut(&mut query, |expression| {
+            if is_count(expression) {
+                let counted = std::mem::replace(expression, Expr::value(Value::Null));
+                *expression = Expr::Cast {
+                    kind: CastKind::Cast,
+                    expr: Box::new(counted),
+                    data_type: DataType::BigInt(None),
+                    array: false,
+                    format: None,
+                };
+            }
+            ControlFlow::<()>::Continue(())
+        });
         let mut found = Names::default();
         let _ = query.visit(&mut found);
         if let Some(function) = found.function {
@@ -59,6 +72,11 @@ impl Statement {
             tables,
             defined: found.defined,
         })
+    }
+
+    /// The text of the query, in which counts are signed: the engine counts in unsigned integers, whose differences would wrap around.
+    pub(crate) fn text(&self) -> String {
+        self.query.to_string()
     }
 
     /// The text of the query with an order that leaves no freedom: rows that are equal in its own `ORDER BY` are ordered by the
@@ -89,6 +107,11 @@ impl Statement {
         });
         Some(query.to_string())
     }
+}
+
+/// `COUNT(...)`, also with `OVER`.
+fn is_count(expression: &Expr) -> bool {
+    matches!(expression, Expr::Function(function) if function.name.to_string().eq_ignore_ascii_case("count"))
 }
 
 /// `ORDER BY ALL`, which the engine also accepts as the name of a column.

@@ -66,11 +66,17 @@ impl Sources {
         }
         let columns = columns_of(&parts);
         let origins = Arc::new(origins);
-        let frames = parts
+        let mut frames = parts
             .into_iter()
             .map(|part| scan(part, &columns, &origins))
             .collect::<PolarsResult<Vec<_>>>()?;
-        Ok(concat(frames, UnionArgs::default())?)
+        match (frames.pop(), frames.is_empty()) {
+            (Some(single), true) => Ok(single),
+            (last, _) => {
+                frames.extend(last);
+                Ok(concat(frames, UnionArgs::default())?)
+            }
+        }
     }
 }
 
@@ -129,14 +135,10 @@ fn scan(
         let own = part.spec.columns_at(part.version).find(|own| own.name == column.name);
         selected.push(match own {
             Some(own) => {
-                let stored = col(part.spec.name_at(own, part.version));
-                // Labels are compared and matched as text.
-                let value = if own.kind == ColumnKind::Category {
-                    stored.cast(DataType::String)
-                } else {
-                    stored
-                };
-                value.alias(column.name)
+                // Labels are compared and matched as text. Differences of unsigned integers would wrap around.
+                col(part.spec.name_at(own, part.version))
+                    .cast(type_of(own.kind))
+                    .alias(column.name)
             }
             None => lit(NULL).cast(type_of(column.kind)).alias(column.name),
         });
@@ -144,12 +146,10 @@ fn scan(
     Ok(frame.select(selected))
 }
 
-/// The type of a column in the engine.
+/// The type of a column in queries. Numbers above 2^63 - 1, which no table has, are an error.
 fn type_of(kind: ColumnKind) -> DataType {
     match kind {
-        ColumnKind::U32 => DataType::UInt32,
-        ColumnKind::U64 => DataType::UInt64,
-        ColumnKind::I64 => DataType::Int64,
+        ColumnKind::U32 | ColumnKind::U64 | ColumnKind::I64 => DataType::Int64,
         ColumnKind::F64 => DataType::Float64,
         ColumnKind::Bool => DataType::Boolean,
         ColumnKind::Text | ColumnKind::Category => DataType::String,

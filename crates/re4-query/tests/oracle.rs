@@ -207,7 +207,13 @@ fn expected(artifact: &Artifact, row: &Trial) -> Value {
 }
 
 fn any_trial() -> impl Strategy<Value = Trial> {
-    let numbers = (any::<u32>(), any::<u64>(), any::<i64>(), any::<f64>(), any::<bool>());
+    let numbers = (
+        any::<u32>(),
+        0..=u64::MAX / 2,
+        any::<i64>(),
+        any::<f64>(),
+        any::<bool>(),
+    );
     let label = prop::sample::select(vec!["", "transit", "transfer", "a, \"b\"\n"]);
     let texts = (".{0,6}", label.clone(), prop::option::of(label));
     let lists = (
@@ -484,6 +490,18 @@ fn rows_have_a_defined_order() {
 }
 
 #[test]
+fn differences_of_counts_and_numbers_do_not_wrap_around() {
+    let place = Place::new(vec![trials(0, 3), trials(1, 3)]);
+    let found = place.rows("select count(*) - 10 as a, count(extra) - count(*) as b, min(trial) - 7 as c, sum(count) - 1000 as d from trials");
+    assert_eq!(found, [json!({ "a": -4, "b": -2, "c": -7, "d": -694 })]);
+    // The rows of several statements, which the engine counts without reading them.
+    let found = place.rows(
+        "select count(*) as n from (select trial from trials union all select trial from trials) as both_of_them",
+    );
+    assert_eq!(found, [json!({ "n": 12 })]);
+}
+
+#[test]
 fn errors_are_sentences_with_remedies() {
     let place = Place::new(vec![trials(0, 3), trials(1, 3)]);
     assert_eq!(
@@ -573,7 +591,7 @@ fn answers_as_text_csv_and_parquet() {
     let none = place.json("select trial from trials where trial > 99");
     assert_eq!(
         none,
-        json!({ "columns": [{ "name": "trial", "type": "u32" }], "rows": [] })
+        json!({ "columns": [{ "name": "trial", "type": "i64" }], "rows": [] })
     );
     let file = place.folder.path().join("out.parquet");
     sources
