@@ -39,6 +39,11 @@ fn in_shell(folder: &Path, command: &str) -> Answer {
     Answer::new(&output, folder)
 }
 
+/// A line of a table with one space between its values.
+fn columns_of(line: &str) -> String {
+    line.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 #[test]
 fn the_queries_of_the_guide_run_on_the_demo() {
     let folder = tempfile::tempdir().unwrap();
@@ -50,14 +55,13 @@ fn the_queries_of_the_guide_run_on_the_demo() {
         if !command.starts_with("re4-pipe query") {
             continue;
         }
-        let first: Vec<&str> = answer.stdout.lines().take(8).collect();
-        shown.push(format!("{command}\n\n{}\n", first.join("\n")));
+        // The header and the number of rows. The values change with presets and with the system's math library.
+        let lines: Vec<&str> = answer.stdout.lines().collect();
+        let ends = [lines.first(), lines.last()].map(|line| line.copied().unwrap_or_default());
+        shown.push(format!("{command}\n\n{}\n", ends.map(columns_of).join("\n")));
     }
     assert_eq!(shown.len(), 13);
-    // Keys change with every version of the code.
-    insta::with_settings!({ filters => [(r"(rollouts|episodes|audit|index|modes)/[0-9a-f]{16}", "$1/KEY")] }, {
-        assert_snapshot!(shown.join("\n"));
-    });
+    assert_snapshot!(shown.join("\n"));
     let csv = std::fs::read_to_string(folder.path().join("results.csv")).unwrap();
     assert_eq!(csv.lines().count(), 101);
     assert!(folder.path().join("steps.parquet").exists());
@@ -137,7 +141,7 @@ fn errors_of_queries() {
     let place = place();
     std::fs::create_dir(place.path().join("empty")).unwrap();
     let artifact = place.artifact(Stage::Rollout);
-    let inside = artifact.path().join("out.parquet").display().to_string();
+    let inside = format!("artifacts/rollouts/{}/out.parquet", artifact.key().short());
     let mut sentences = Vec::new();
     for arguments in [
         vec!["query"],
@@ -190,7 +194,7 @@ fn a_damaged_file_is_named() {
     let answer = place.run_each(&["query", "select * from results"]);
     assert_eq!((answer.code, answer.stdout.as_str()), (Some(2), ""));
     assert!(
-        answer.stderr.contains("results.parquet has other bytes"),
+        answer.stderr.contains("the content of results.parquet does not match"),
         "{}",
         answer.stderr
     );
@@ -222,17 +226,23 @@ fn a_parquet_file_has_the_rows_of_the_answer() {
         .build()
         .unwrap();
     let batches: Vec<_> = reader.map(Result::unwrap).collect();
-    let seeds: Vec<u32> = batches
+    let seeds: Vec<i64> = batches
         .iter()
         .flat_map(|batch| {
             let seeds = batch
                 .column(0)
                 .as_any()
-                .downcast_ref::<arrow_array::UInt32Array>()
+                .downcast_ref::<arrow_array::Int64Array>()
                 .unwrap();
             seeds.values().to_vec()
         })
         .collect();
     let results: Vec<PlaneResultRow> = place.artifact(Stage::Rollout).read().unwrap();
-    assert_eq!(seeds, results.iter().map(|result| result.core.seed).collect::<Vec<_>>());
+    assert_eq!(
+        seeds,
+        results
+            .iter()
+            .map(|result| i64::from(result.core.seed))
+            .collect::<Vec<_>>()
+    );
 }

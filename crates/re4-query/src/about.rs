@@ -135,7 +135,7 @@ fn inputs(sources: &Sources) -> PolarsResult<DataFrame> {
 /// One row per column of the tables that the artifacts have.
 fn columns(sources: &Sources) -> PolarsResult<DataFrame> {
     let mut rows = Vec::new();
-    for name in sources.tables().into_keys() {
+    for name in sources.tables() {
         for spec in sources.specs_of(name) {
             rows.extend(spec.columns.iter().map(|column| (spec, column)));
         }

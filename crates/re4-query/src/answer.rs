@@ -48,8 +48,7 @@ impl Sources {
     /// If the text is not a valid `SELECT` statement, a table or column does not exist, or a table is damaged.
     pub fn query(&self, text: &str) -> Result<Answer> {
         let statement = Statement::parse(text)?;
-        let tables = self.tables();
-        let known_name = |name: &str| tables.contains_key(name) || about::TABLES.contains(&name);
+        let known_name = |name: &str| about::TABLES.contains(&name) || self.has(name);
         if let Some(name) = statement.defined.iter().find(|name| known_name(name)) {
             bail!("the name {name} in WITH is that of a table"; "choose another name");
         }
@@ -58,7 +57,7 @@ impl Sources {
         for name in &statement.tables {
             let mut frame = match about::table(self, name)? {
                 Some(frame) => frame,
-                None if tables.contains_key(name.as_str()) => self.table(name)?,
+                None if self.has(name) => self.table(name)?,
                 None => return Err(self.no_table(name)),
             };
             let schema = frame.collect_schema().map_err(|error| fault_of(&error, &known))?;

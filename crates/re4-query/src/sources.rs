@@ -1,6 +1,6 @@
 //! The artifacts that a query reads.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -98,26 +98,22 @@ impl Sources {
         found
     }
 
-    /// Names of the tables, each with the number of artifacts that contain it.
-    pub(crate) fn tables(&self) -> BTreeMap<&'static str, usize> {
-        let mut tables = BTreeMap::new();
-        for entry in &self.entries {
-            let names: BTreeSet<&str> = self
-                .specs
-                .iter()
-                .filter(|spec| entry.artifact.has_table(spec))
-                .map(|spec| spec.name)
-                .collect();
-            for name in names {
-                *tables.entry(name).or_insert(0) += 1;
-            }
-        }
-        tables
+    /// Whether an artifact has a table with this name.
+    pub(crate) fn has(&self, table: &str) -> bool {
+        let specs = self.specs_of(table);
+        let mut artifacts = self.entries.iter().map(|entry| &entry.artifact);
+        artifacts.any(|artifact| specs.iter().any(|spec| artifact.has_table(spec)))
+    }
+
+    /// Names of the tables that the artifacts have, sorted.
+    pub(crate) fn tables(&self) -> BTreeSet<&'static str> {
+        let names: BTreeSet<&str> = self.specs.iter().map(|spec| spec.name).collect();
+        names.into_iter().filter(|name| self.has(name)).collect()
     }
 
     /// The error for a table that no artifact has.
     pub(crate) fn no_table(&self, name: &str) -> anyhow::Error {
-        let known: Vec<&str> = self.tables().into_keys().collect();
+        let known: Vec<&str> = self.tables().into_iter().collect();
         let what = if self.len() == 1 {
             "the artifact"
         } else {
@@ -197,7 +193,11 @@ fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     for entry in std::fs::read_dir(folder).or_fault(unreadable)? {
         let entry = entry.or_fault(unreadable)?;
         let hidden = entry.file_name().to_string_lossy().starts_with('.');
-        if !hidden && entry.path().is_dir() {
+        let folder = match entry.file_type() {
+            Ok(kind) if !kind.is_symlink() => kind.is_dir(),
+            _ => entry.path().is_dir(),
+        };
+        if !hidden && folder {
             found.push(entry.path());
         }
     }

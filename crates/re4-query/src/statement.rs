@@ -219,7 +219,7 @@ mod tests {
         assert_eq!(refused(""), "the query is empty");
         assert_eq!(refused("drop table a"), "the query is not a SELECT statement");
         assert_eq!(refused("select 1; select 2"), "the query has several statements");
-        assert!(refused("select from where").starts_with("the query is not valid SQL: "));
+        assert!(refused("select * from").starts_with("the query is not valid SQL: "));
         assert!(refused("select * from read_parquet('x')").contains("read_parquet(...)"));
         assert!(refused("select * from a where (").starts_with("the query is not valid SQL: "));
     }

@@ -554,7 +554,7 @@ fn a_damaged_table_is_named_and_other_tables_are_read() {
     assert_eq!(
         place.refused("select * from trials"),
         format!(
-            "artifact {folder} is damaged: trials.parquet has other bytes than were published; delete the folder {folder} and run again"
+            "artifact {folder} is damaged: the content of trials.parquet does not match its published hash; delete the folder {folder} and run again"
         )
     );
     assert_eq!(place.rows("select count(*) as n from artifacts"), [json!({ "n": 2 })]);
