@@ -7,8 +7,8 @@
 //! The engine is polars. It reads the Parquet files lazily and in parts: only the columns that a query needs. Only joins and sorts hold
 //! their rows in memory. The program verifies the hash of a file before the engine decodes it.
 //!
-//! Rows have a defined order (see [`Sources::query`]), so that the answer does not depend on the number of threads, apart from the last
-//! digits of sums and means of floats.
+//! Rows have a defined order (see [`Sources::query`]). Only the last digits of sums and means of floats can differ between runs, because
+//! the engine adds floats in the order in which its threads finish.
 
 mod about;
 mod answer;
