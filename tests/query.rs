@@ -167,11 +167,6 @@ fn errors_of_queries() {
         vec!["query", "select * from results", "--parquet", "no/out.parquet"],
         vec!["query", "select * from results", "--parquet", &inside],
     ] {
-        let answer = place.run_each(&arguments);
-        assert_eq!(
-            answer.stdout.lines().count(),
-            usize::from(arguments.contains(&"--json") && answer.stdout.contains("error"))
-        );
         let shown = arguments.join(" ");
         sentences.push(format!(
             "re4-pipe {shown}\n  {}",
