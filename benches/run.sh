@@ -8,7 +8,7 @@ scripts/setup.sh
 dataset="$RE4_DATA/pusht/pusht_cchi_v7_replay.zarr"
 venv="${VENV:-target/bench-venv}"
 [ -x "$venv/bin/python" ] || python3 -m venv "$venv"
-"$venv/bin/pip" install -q gym-pusht==0.1.8 zarr==2.18.7 "numcodecs<0.16" scipy
+"$venv/bin/pip" install -q gym-pusht==0.1.8 zarr==2.18.7 "numcodecs<0.16" scipy polars pyarrow
 
 echo "== simulator: control steps a second, against gym-pusht"
 "$venv/bin/python" benches/pusht_sim.py 5
@@ -19,6 +19,8 @@ echo "== retrieve: against numpy and scipy"
 cargo build --release -q -p re4-pipe
 echo "== poses from images: against OpenCV and numpy"
 "$venv/bin/python" benches/poses.py "$dataset"
+echo "== queries over 10,000 artifacts: against polars and pyarrow in Python, which read only the tables"
+"$venv/bin/python" benches/query_rate.py
 echo "== stages, whole commands"
 artifacts="$(mktemp -d)"
 trap 'rm -rf "$artifacts"' EXIT

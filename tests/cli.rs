@@ -6,7 +6,7 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 18] = [
+pub(crate) const COMMANDS: [&str; 19] = [
     "ingest",
     "segment",
     "audit",
@@ -21,6 +21,7 @@ pub(crate) const COMMANDS: [&str; 18] = [
     "video",
     "verify",
     "inspect",
+    "query",
     "report",
     "fetch",
     "doctor",

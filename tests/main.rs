@@ -27,6 +27,7 @@ mod notebooks;
 mod notes;
 mod pipeline;
 mod policies;
+mod query;
 mod real_data;
 mod rendered;
 mod report;

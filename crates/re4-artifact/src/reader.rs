@@ -132,6 +132,18 @@ impl Artifact {
         }
     }
 
+    /// Checks every byte of one table, under its present or its former name.
+    ///
+    /// # Errors
+    /// [`ArtifactError::NoTable`], [`ArtifactError::Damaged`], [`ArtifactError::Io`].
+    pub fn verify_table(&self, spec: &'static TableSpec) -> Result<(), ArtifactError> {
+        let summary = match self.under_former_name(spec) {
+            Some(summary) => summary,
+            None => self.summary(spec.name)?,
+        };
+        self.verify_file(&summary.file, summary.bytes, &summary.blake3)
+    }
+
     fn verify_file(&self, file: &str, bytes: u64, blake3: &Key) -> Result<(), ArtifactError> {
         let path = self.path.join(file);
         let file = file.to_owned();

@@ -62,6 +62,9 @@ pub(crate) enum Command {
     Verify(VerifyArguments),
     /// Print the contents of an artifact: provenance, tables, columns with units, rows
     Inspect(InspectArguments),
+    /// Ask a question about any artifacts in SQL; prints a table, JSON or CSV, or writes Parquet
+    #[cfg(feature = "query")]
+    Query(QueryArguments),
     /// Write an HTML page about rollouts: scores, every seed, step budgets, and a viewer of every decision
     Report(ReportArguments),
     /// Download a dataset, or initial weights of an encoder, to the data folder
@@ -100,6 +103,8 @@ impl Command {
             | Self::Doctor(DoctorArguments { common, .. })
             | Self::Schemas(SchemasArguments { common, .. })
             | Self::Reference(ReferenceArguments { common, .. }) => Some(common),
+            #[cfg(feature = "query")]
+            Self::Query(QueryArguments { common, .. }) => Some(common),
             Self::IngestWorker => None,
         }
     }
@@ -307,6 +312,31 @@ pub(crate) struct InspectArguments {
     /// SVG file to write
     #[arg(long, value_name = "OUT.svg", requires = "seed", alias = "picture")]
     pub(crate) image: Option<PathBuf>,
+    /// Options of all commands.
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+/// Arguments of `query`.
+#[cfg(feature = "query")]
+#[derive(Debug, Clone, Args)]
+pub(crate) struct QueryArguments {
+    /// SELECT statement over the tables of the artifacts, such as "select seed, success from results"
+    #[arg(value_name = "SQL")]
+    pub(crate) sql: String,
+    /// Folders of artifacts, folders that contain such folders, or patterns in quotes such as 'artifacts/rollouts/*' [default: the
+    /// artifacts folder]
+    #[arg(value_name = "ARTIFACT")]
+    pub(crate) paths: Vec<PathBuf>,
+    /// Maximum number of rows to print as a table
+    #[arg(long, value_name = "N", default_value_t = 50, conflicts_with_all = ["csv", "parquet", "json"])]
+    pub(crate) rows: usize,
+    /// Print all rows as CSV
+    #[arg(long, conflicts_with_all = ["parquet", "json"])]
+    pub(crate) csv: bool,
+    /// Write all rows to a Parquet file instead of printing them
+    #[arg(long, value_name = "OUT.parquet")]
+    pub(crate) parquet: Option<PathBuf>,
     /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,

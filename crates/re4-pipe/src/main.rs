@@ -47,6 +47,8 @@ fn main() -> ExitCode {
         Command::Video(arguments) => commands::video::video(&arguments),
         Command::Verify(arguments) => commands::verify::verify(&arguments),
         Command::Inspect(arguments) => commands::inspect::inspect(&arguments),
+        #[cfg(feature = "query")]
+        Command::Query(arguments) => commands::query::query(&arguments),
         Command::Report(arguments) => commands::report::report(&arguments),
         Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
         Command::Doctor(arguments) => commands::doctor::doctor(&arguments),

@@ -5,6 +5,8 @@ pub(crate) mod compare;
 pub(crate) mod doctor;
 pub(crate) mod fetch;
 pub(crate) mod inspect;
+#[cfg(feature = "query")]
+pub(crate) mod query;
 pub(crate) mod report;
 pub(crate) mod run;
 pub(crate) mod schemas;
