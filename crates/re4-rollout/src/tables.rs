@@ -308,6 +308,9 @@ pub trait Recorded: Domain {
     /// Builds the row of a rollout.
     fn result_row<X>(core: ResultCore, rollout: &Rollout<Self, X>) -> Self::ResultRow;
 
+    /// The score of a rollout, from 0 to 1: for Push-T the maximum score over its steps, for robosuite tasks 1 if it succeeded.
+    fn score<X>(rollout: &Rollout<Self, X>) -> f64;
+
     /// Builds the row of table `worlds`.
     fn world_row<X>(rollout: &Rollout<Self, X>) -> Self::WorldRow;
 
@@ -336,6 +339,10 @@ impl Recorded for Plane {
             score_max: rollout.maximum(|step| step.score),
             coverage_final: rollout.steps.last().map_or(first.coverage, |step| step.after.coverage),
         }
+    }
+
+    fn score<X>(rollout: &Rollout<Self, X>) -> f64 {
+        rollout.maximum(|step| step.score)
     }
 
     fn world_row<X>(rollout: &Rollout<Self, X>) -> PlaneWorldRow {
@@ -388,6 +395,10 @@ impl Recorded for Space {
             object: rollout.first.observation.object,
             state: rollout.first.state.clone(),
         }
+    }
+
+    fn score<X>(rollout: &Rollout<Self, X>) -> f64 {
+        f64::from(u8::from(rollout.success()))
     }
 
     fn world_row<X>(rollout: &Rollout<Self, X>) -> SpaceWorldRow {
