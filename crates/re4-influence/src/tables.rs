@@ -163,7 +163,7 @@ table! {
     /// One row per set of demonstrations that the curation tried on the scenes that it was tuned on, in order. Row 0 is the set of all
     /// demonstrations.
     #[table("curation_rounds", version = 1)]
-    pub struct CurveRow {
+    pub struct RoundRow {
         /// Number of the round, from 0. A round tries several sets.
         pub round: u32,
         /// Number of demonstrations in the set.
@@ -342,7 +342,7 @@ impl CuratedRow {
     }
 }
 
-impl CurveRow {
+impl RoundRow {
     /// The rows of table `curation_rounds`.
     pub fn rows(choice: &Choice) -> Vec<Self> {
         let rows = choice.rounds.iter();

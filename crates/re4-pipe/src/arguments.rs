@@ -53,6 +53,8 @@ pub(crate) enum Command {
     Run(RolloutArguments),
     /// Compare policies over equal seeds: run the cells of a suite file; writes the `comparison` artifact and an HTML page
     Compare(CompareArguments),
+    /// Compute what changes if each demonstration is left out, exactly; writes the `influence` artifact
+    Influence(InfluenceArguments),
     /// Replay the demonstrations' actions open-loop and measure the divergence; writes the `replays` artifact
     Replay(ReplayArguments),
     /// Render rollouts as a GIF video, with the plan and the coverage (Push-T) or the retrieved demonstrations (robosuite)
@@ -91,6 +93,7 @@ impl Command {
             | Self::Audit(AuditArguments { stage, .. })
             | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
             Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
+            Self::Influence(InfluenceArguments { stage, .. }) => Some(&stage.common),
             Self::Compare(CompareArguments { common, .. })
             | Self::Video(VideoArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })
@@ -191,12 +194,9 @@ pub(crate) enum FailOn {
     Warning,
 }
 
-/// Arguments of `rollout` and `run`.
+/// Settings of rollouts that several commands have.
 #[derive(Debug, Clone, Args)]
-pub(crate) struct RolloutArguments {
-    /// Arguments of all stages.
-    #[command(flatten)]
-    pub(crate) stage: StageArguments,
+pub(crate) struct RolledArguments {
     /// Seeds of the scenes, such as 500..600 (600 is excluded) or 3,7; same as --set rollout.seeds=...
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
@@ -210,6 +210,58 @@ pub(crate) struct RolloutArguments {
         help = "Maximum length of an episode in control steps; same as --set rollout.max_steps=..."
     )]
     pub(crate) max_steps: Option<u32>,
+}
+
+impl RolledArguments {
+    /// Reads the pipeline and applies the overrides.
+    pub(crate) fn runner(&self, stage: &StageArguments) -> Result<Runner> {
+        // A value of an override as a string, whatever it looks like.
+        let text = |value: &str| format!("\"{}\"", value.replace(['"', '\\'], ""));
+        let seeds = self
+            .seeds
+            .as_deref()
+            .map(|seeds| format!("rollout.seeds={}", text(seeds)));
+        let kind = self.policy.as_deref().map(kind_override);
+        let steps = self.max_steps.map(|steps| format!("rollout.max_steps={steps}"));
+        let overrides: Vec<String> = [seeds, kind, steps].into_iter().flatten().collect();
+        stage.runner(&overrides)
+    }
+}
+
+/// The override that `--policy` stands for.
+pub(crate) fn kind_override(policy: &str) -> String {
+    format!("policy.kind=\"{}\"", policy.replace(['"', '\\'], ""))
+}
+
+/// Arguments of `influence`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct InfluenceArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Settings of rollouts.
+    #[command(flatten)]
+    pub(crate) rolled: RolledArguments,
+    /// Also judge each demonstration on N scenes that start from its own first state, perturbed
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub(crate) starts: u32,
+    /// Roll out all scenes without each of N demonstrations and compare; exit with code 1 if an episode differs
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) check: usize,
+    /// Also write an HTML page about the influence
+    #[arg(long, value_name = "OUT.html")]
+    pub(crate) html: Option<PathBuf>,
+}
+
+/// Arguments of `rollout` and `run`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct RolloutArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Settings of rollouts.
+    #[command(flatten)]
+    pub(crate) rolled: RolledArguments,
     /// Also write an HTML page about the rollouts, as re4-pipe report does
     #[arg(long, value_name = "OUT.html")]
     pub(crate) report: Option<PathBuf>,

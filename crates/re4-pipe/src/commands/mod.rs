@@ -4,6 +4,7 @@ pub(crate) mod audit;
 pub(crate) mod compare;
 pub(crate) mod doctor;
 pub(crate) mod fetch;
+pub(crate) mod influence;
 pub(crate) mod inspect;
 pub(crate) mod report;
 pub(crate) mod run;

@@ -68,7 +68,9 @@ impl Runner {
     /// Makes the `rollouts` artifact of a robosuite task, or returns the existing one. The policy observes the simulator's object
     /// pose or, if `artifacts.poses` is given, the estimates of its encoder.
     pub(super) fn rollout_space(&self, policy: &SpacePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
-        self.observed(artifacts, |observer| self.rollout_with_observer(policy, artifacts, observer))
+        self.observed(artifacts, |observer| {
+            self.rollout_with_observer(policy, artifacts, observer)
+        })
     }
 
     /// Calls `body` with the observer of the pipeline: the encoder of `artifacts.poses`, or `None` for the simulator's poses.
@@ -101,7 +103,8 @@ impl Runner {
         artifacts: &RolloutArtifacts<'_>,
         observer: Option<&ImageObserver<'_>>,
     ) -> Result<Built> {
-        let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION).config(&self.space_config(policy, artifacts, observer)?)?;
+        let mut recipe =
+            Recipe::new(Stage::Rollout, CODE_VERSION).config(&self.space_config(policy, artifacts, observer)?)?;
         for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
