@@ -87,6 +87,8 @@ pub struct Curate<'a> {
 /// A set of demonstrations that was tried.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Round {
+    /// Why the set was rolled out: `tried`, `ranked` or `random`.
+    pub series: &'static str,
     /// Number of the round, from 0 for all demonstrations.
     pub round: u32,
     /// Number of demonstrations in the set.
@@ -273,17 +275,70 @@ impl Search<'_, '_> {
     }
 
     fn note(&mut self, evaluation: &Evaluation, predicted_by: Option<String>, taken: bool) {
-        self.choice.rounds.push(Round {
+        let round = Round {
             round: self.round,
-            kept: (self.curate.demos - evaluation.without.len()) as u32,
+            predicted_by,
+            taken,
+            ..Round::of(evaluation, "tried", self.curate)
+        };
+        self.choice.rounds.push(round);
+    }
+}
+
+impl Round {
+    fn of(evaluation: &Evaluation, series: &'static str, curate: &Curate<'_>) -> Self {
+        Self {
+            series,
+            round: 0,
+            kept: (curate.demos - evaluation.without.len()) as u32,
             success: evaluation.success(),
             score: evaluation.mean(|episode| episode.score),
             steps: evaluation.mean(|episode| f64::from(episode.steps)),
-            cost: self.mean_cost(evaluation),
-            predicted_by,
-            taken,
-        });
+            cost: evaluation.mean(|episode| cost(episode, curate.max_steps)),
+            predicted_by: None,
+            taken: false,
+        }
     }
+}
+
+impl Choice {
+    /// The demonstrations from the best to the worst: the kept ones by the cost that is expected of them, then the dropped ones, those
+    /// of the first round last.
+    pub fn ranking(&self) -> Vec<u32> {
+        let mut ranking: Vec<u32> = (0..self.evidence.len() as u32).collect();
+        let round = |demo: u32| std::cmp::Reverse(self.dropped.get(&demo).copied().unwrap_or(u32::MAX));
+        let expected = |demo: u32| self.evidence[demo as usize].expected;
+        ranking.sort_by(|&a, &b| {
+            let by_round = round(a).cmp(&round(b));
+            by_round.then(expected(a).total_cmp(&expected(b))).then(a.cmp(&b))
+        });
+        ranking
+    }
+}
+
+/// The learning curve: for sizes 1, 2, 5, 10, ..., the best demonstrations of a ranking and as many of a random order.
+///
+/// # Errors
+/// Those of `roll`.
+pub fn learning_curve<E>(
+    curate: &Curate<'_>,
+    ranking: &[u32],
+    random: &[u32],
+    roll: &mut Roll<'_, E>,
+) -> Result<Vec<Round>, E> {
+    let sizes = std::iter::successors(Some(1), |decade: &usize| decade.checked_mul(10))
+        .take_while(|decade| *decade < curate.demos)
+        .flat_map(|decade| [1, 2, 5].map(|digit| digit * decade))
+        .filter(|size| *size < curate.demos);
+    let mut rounds = Vec::new();
+    for size in sizes {
+        for (series, order) in [("ranked", ranking), ("random", random)] {
+            let without = Arc::new(order.iter().skip(size).copied().collect());
+            let evaluation = evaluate(roll, curate.scenes, &without)?;
+            rounds.push(Round::of(&evaluation, series, curate));
+        }
+    }
+    Ok(rounds)
 }
 
 /// The sizes in descending order without repetitions, which leave at least one demonstration.

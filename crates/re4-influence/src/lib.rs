@@ -12,7 +12,7 @@ mod effects;
 mod prior;
 mod tables;
 
-pub use choose::{Aim, By, Choice, Curate, Round, curate};
+pub use choose::{Aim, By, Choice, Curate, Round, curate, learning_curve};
 pub use effects::{Change, Episode, Evaluation, Roll, Without, cost, evaluate, evaluate_without, leave_one_out};
 pub use prior::{Evidence, Score};
 pub use tables::{

@@ -160,11 +160,14 @@ table! {
 }
 
 table! {
-    /// One row per set of demonstrations that the curation tried on the scenes that it was tuned on, in order. Row 0 is the set of all
-    /// demonstrations.
+    /// One row per set of demonstrations that was rolled out on the scenes that the curation was tuned on, in order. Row 0 is the set
+    /// of all demonstrations.
     #[table("curation_rounds", version = 1)]
     pub struct RoundRow {
-        /// Number of the round, from 0. A round tries several sets.
+        /// Why the set was rolled out: tried (by the curation), ranked (the best demonstrations by its ranking, for the learning
+        /// curve) or random (the same number of random ones).
+        pub series: Label,
+        /// Number of the round, from 0. A round tries several sets. 0 for the learning curve.
         pub round: u32,
         /// Number of demonstrations in the set.
         pub kept: u32,
@@ -347,6 +350,7 @@ impl RoundRow {
     pub fn rows(choice: &Choice) -> Vec<Self> {
         let rows = choice.rounds.iter();
         rows.map(|round| Self {
+            series: round.series.into(),
             round: round.round,
             kept: round.kept,
             success: round.success,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use re4_influence::{Aim, By};
 use re4_stages::{Notes, Runner, Seeds, Settings};
 
 /// From robot demonstrations to explainable imitation policies.
@@ -55,6 +56,8 @@ pub(crate) enum Command {
     Compare(CompareArguments),
     /// Compute what changes if each demonstration is left out, exactly; writes the `influence` artifact
     Influence(InfluenceArguments),
+    /// Choose demonstrations: drop those that harm, judged on other scenes; writes the `curation` artifact
+    Curate(CurateArguments),
     /// Replay the demonstrations' actions open-loop and measure the divergence; writes the `replays` artifact
     Replay(ReplayArguments),
     /// Render rollouts as a GIF video, with the plan and the coverage (Push-T) or the retrieved demonstrations (robosuite)
@@ -93,7 +96,9 @@ impl Command {
             | Self::Audit(AuditArguments { stage, .. })
             | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
             Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
-            Self::Influence(InfluenceArguments { stage, .. }) => Some(&stage.common),
+            Self::Influence(InfluenceArguments { stage, .. }) | Self::Curate(CurateArguments { stage, .. }) => {
+                Some(&stage.common)
+            }
             Self::Compare(CompareArguments { common, .. })
             | Self::Video(VideoArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })
@@ -251,6 +256,95 @@ pub(crate) struct InfluenceArguments {
     /// Also write an HTML page about the influence
     #[arg(long, value_name = "OUT.html")]
     pub(crate) html: Option<PathBuf>,
+}
+
+/// Arguments of `curate`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct CurateArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Settings of the rollouts that the choice is made on.
+    #[command(flatten)]
+    pub(crate) rolled: RolledArguments,
+    /// What demonstrations are ranked by
+    #[arg(long, value_enum, default_value_t = ByArgument::Combined)]
+    pub(crate) by: ByArgument,
+    /// What the choice aims at
+    #[arg(long, value_enum, default_value_t = AimArgument::Harmful)]
+    pub(crate) aim: AimArgument,
+    /// Also choose on N scenes per demonstration that start from its own first state, perturbed
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub(crate) starts: u32,
+    /// Seeds to judge the choice on, other than those of the rollouts it is made on
+    #[arg(long, value_name = "SEEDS")]
+    pub(crate) judge: Option<Seeds>,
+    /// Number of random sets of the same size that are judged, too
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=100))]
+    pub(crate) random: u32,
+    /// Also compute the learning curve: the best demonstrations, and as many random ones
+    #[arg(long)]
+    pub(crate) curve: bool,
+    /// Also write the names of the kept demonstrations, one per line
+    #[arg(long, value_name = "OUT.txt")]
+    pub(crate) keep_list: Option<PathBuf>,
+    /// Also write the choice as a setting for the pipeline file
+    #[arg(long, value_name = "OUT.toml")]
+    pub(crate) setting: Option<PathBuf>,
+    /// HDF5 files: also write a copy of the dataset with the choice as a filter key; the copy must not exist
+    #[arg(long, value_name = "OUT.hdf5")]
+    pub(crate) mask: Option<PathBuf>,
+    /// Name of the filter key below /mask
+    #[arg(long, value_name = "NAME", default_value = "curated", requires = "mask")]
+    pub(crate) filter_key: String,
+    /// Also write an HTML page about the choice
+    #[arg(long, value_name = "OUT.html")]
+    pub(crate) html: Option<PathBuf>,
+}
+
+/// What `curate` ranks demonstrations by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ByArgument {
+    /// The results of the episodes that follow a demonstration.
+    Influence,
+    /// The findings of the audit.
+    Audit,
+    /// Scores of the demonstrations, such as their duration.
+    Scores,
+    /// All of these.
+    Combined,
+}
+
+impl ByArgument {
+    pub(crate) fn by(self) -> By {
+        match self {
+            Self::Influence => By::Influence,
+            Self::Audit => By::Audit,
+            Self::Scores => By::Scores,
+            Self::Combined => By::Combined,
+        }
+    }
+}
+
+/// What `curate` aims at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum AimArgument {
+    /// Drop demonstrations as long as that makes episodes better.
+    Harmful,
+    /// Drop only demonstrations on which no episode depends.
+    Redundant,
+    /// Also drop demonstrations as long as episodes stay as good, up to a standard error.
+    Smallest,
+}
+
+impl AimArgument {
+    pub(crate) fn aim(self) -> Aim {
+        match self {
+            Self::Harmful => Aim::Harmful,
+            Self::Redundant => Aim::Redundant,
+            Self::Smallest => Aim::Smallest,
+        }
+    }
 }
 
 /// Arguments of `rollout` and `run`.

@@ -12,3 +12,11 @@ use re4_artifact::Artifact;
 pub fn influence_page(_artifact: &Artifact, _store: &Path) -> Result<String> {
     Ok(String::new())
 }
+
+/// Makes the page of a `curation` artifact.
+///
+/// # Errors
+/// If a table cannot be read.
+pub fn curation_page(_artifact: &Artifact) -> Result<String> {
+    Ok(String::new())
+}

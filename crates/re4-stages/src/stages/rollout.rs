@@ -74,7 +74,7 @@ impl Runner {
 
     /// Runs all stages that rollouts need, and then `make` with their artifacts. Returns its result and, if rollouts start from
     /// scenes, the `scenes` artifact.
-    fn with_artifacts<R>(
+    pub(crate) fn with_artifacts<R>(
         &self,
         make: &dyn Fn(&Policy, &RolloutArtifacts<'_>) -> Result<R>,
     ) -> Result<(R, Option<Built>)> {
