@@ -16,6 +16,6 @@ pub use choose::{Aim, By, Choice, Curate, Round, curate, learning_curve};
 pub use effects::{Change, Episode, Evaluation, Roll, Without, cost, evaluate, evaluate_without, leave_one_out};
 pub use prior::{Evidence, Score};
 pub use tables::{
-    CuratedRow, InfluenceRow, JudgedEpisodeRow, JudgedRow, PairRow, RoundRow, Scenes, episode_rows, influence_rows,
-    pair_rows,
+    CuratedRow, Demo, InfluenceRow, JudgedEpisodeRow, JudgedRow, PairRow, RoundRow, Scenes, episode_rows,
+    influence_rows, pair_rows,
 };

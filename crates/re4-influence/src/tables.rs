@@ -45,6 +45,10 @@ table! {
         pub demo: u32,
         /// Name of the demonstration in its source. Null if it is not known.
         pub demo_name: Option<String>,
+        /// Position of its object in the first frame along x, world frame: px for Push-T, m for robosuite tasks.
+        pub start_x: f64,
+        /// The same along y.
+        pub start_y: f64,
         /// Number of scenes.
         pub episodes: u32,
         /// Number of decisions to follow the demonstration.
@@ -102,6 +106,10 @@ table! {
         pub depending: u32,
         /// Number of them without which the success is another one.
         pub flips: u32,
+        /// Position of the object after the reset along x, world frame: px for Push-T, m for robosuite tasks.
+        pub start_x: f64,
+        /// The same along y.
+        pub start_y: f64,
     }
 }
 
@@ -219,15 +227,25 @@ table! {
     }
 }
 
-/// The rows of table `influence` for one kind of scenes. `names` are the names of all demonstrations.
-pub fn influence_rows(scenes: Scenes, names: &[String], base: &Evaluation, changes: &[Change]) -> Vec<InfluenceRow> {
-    (0..names.len() as u32)
-        .into_par_iter()
-        .map(|demo| influence_row(scenes, demo, names, base, changes))
+/// A demonstration: its name, and the position of its object in the first frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Demo {
+    /// Its name in the source.
+    pub name: String,
+    /// Horizontal position in the world frame, px or m.
+    pub start: [f64; 2],
+}
+
+/// The rows of table `influence` for one kind of scenes, one for each of `demos`.
+pub fn influence_rows(scenes: Scenes, demos: &[Demo], base: &Evaluation, changes: &[Change]) -> Vec<InfluenceRow> {
+    demos
+        .par_iter()
+        .enumerate()
+        .map(|(number, demo)| influence_row(scenes, number as u32, demo, base, changes))
         .collect()
 }
 
-fn influence_row(scenes: Scenes, demo: u32, names: &[String], base: &Evaluation, changes: &[Change]) -> InfluenceRow {
+fn influence_row(scenes: Scenes, demo: u32, about: &Demo, base: &Evaluation, changes: &[Change]) -> InfluenceRow {
     let first = changes.partition_point(|change| change.demo < demo);
     let own: Vec<&Change> = changes[first..]
         .iter()
@@ -256,7 +274,9 @@ fn influence_row(scenes: Scenes, demo: u32, names: &[String], base: &Evaluation,
     InfluenceRow {
         scenes,
         demo,
-        demo_name: names.get(demo as usize).cloned(),
+        demo_name: Some(about.name.clone()),
+        start_x: about.start[0],
+        start_y: about.start[1],
         episodes: base.episodes.len() as u32,
         decisions: followed().map(|episode| decisions(episode, demo)).sum(),
         followed: followed().count() as u32,
@@ -301,19 +321,21 @@ pub fn episode_rows(scenes: Scenes, base: &Evaluation, changes: &[Change]) -> Ve
             followed: followed.len() as u32,
             depending: episode.considered.len() as u32,
             flips: flips.get(&scene).copied().unwrap_or(0),
+            start_x: episode.start[0],
+            start_y: episode.start[1],
         }
     };
     base.episodes.iter().enumerate().map(row).collect()
 }
 
 /// The rows of table `influence_pairs` for one kind of scenes.
-pub fn pair_rows(scenes: Scenes, names: &[String], base: &Evaluation, changes: &[Change]) -> Vec<PairRow> {
+pub fn pair_rows(scenes: Scenes, demos: &[Demo], base: &Evaluation, changes: &[Change]) -> Vec<PairRow> {
     let row = |change: &Change| {
         let with = &base.episodes[change.scene];
         PairRow {
             scenes,
             demo: change.demo,
-            demo_name: names.get(change.demo as usize).cloned(),
+            demo_name: demos.get(change.demo as usize).map(|demo| demo.name.clone()),
             seed: with.seed,
             decisions: decisions(with, change.demo),
             success: with.success,
@@ -329,11 +351,11 @@ pub fn pair_rows(scenes: Scenes, names: &[String], base: &Evaluation, changes: &
 
 impl CuratedRow {
     /// The rows of table `curated`. `findings` are the errors and warnings of each demonstration.
-    pub fn rows(choice: &Choice, names: &[String], findings: &[u32]) -> Vec<Self> {
-        let rows = (0..).zip(names).zip(&choice.evidence);
-        rows.map(|((demo, name), evidence)| Self {
+    pub fn rows(choice: &Choice, demos: &[Demo], findings: &[u32]) -> Vec<Self> {
+        let rows = (0..).zip(demos).zip(&choice.evidence);
+        rows.map(|((demo, about), evidence)| Self {
             demo,
-            demo_name: name.clone(),
+            demo_name: about.name.clone(),
             kept: choice.kept.contains(&demo),
             round: choice.dropped.get(&demo).copied(),
             episodes: evidence.episodes,

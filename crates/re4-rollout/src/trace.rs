@@ -77,6 +77,8 @@ pub struct Traced {
     pub score: f64,
     /// Number of control steps.
     pub steps: u32,
+    /// Position of the object after the reset, world frame: x and y, in px for Push-T and in m for robosuite tasks.
+    pub start: [f64; 2],
     /// The demonstrations that the policy followed, one per decision that follows one, in order.
     pub followed: Vec<u32>,
     /// The demonstrations without which a decision might have been another one. Without any other demonstration, the episode is the
@@ -93,6 +95,7 @@ impl Traced {
             success: rollout.success(),
             score: D::score(rollout),
             steps: rollout.steps.len() as u32,
+            start: D::start(&rollout.first),
             followed: decisions
                 .filter_map(|decision| decision.explanation(&names).demo)
                 .map(|(demo, ..)| demo)

@@ -34,7 +34,7 @@ pub(crate) fn influence(arguments: &InfluenceArguments) -> Result<Outcome> {
     };
     let influenced = runner.influence(judge)?;
     if let (Some(output), Some(path)) = (&output, &arguments.html) {
-        let page = re4_report::influence_page(&influenced.built.artifact, &arguments.stage.common.artifacts)?;
+        let page = re4_report::influence_page(&influenced.built.artifact)?;
         output.write(&page)?;
         console.note(&format!("{:>10}  {}", "page", path.display()));
     }

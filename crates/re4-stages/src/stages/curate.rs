@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 use rand_pcg::rand_core::Rng as _;
 use re4_artifact::{Artifact, ArtifactSummary, Row as _, Stage, columns};
 use re4_fault::{bail, ensure};
-use re4_influence::{Aim, By, Choice, Curate, CuratedRow, JudgedRow, RoundRow, Score, curate, learning_curve};
+use re4_influence::{Aim, By, Choice, Curate, CuratedRow, Demo, JudgedRow, RoundRow, Score, curate, learning_curve};
 use re4_ingest::Selection;
 use re4_rollout::{PlaneResultRow, SpaceResultRow};
 use re4_stats::{mean_interval, median, paired_interval, sign_test, wilson_interval};
@@ -93,11 +93,12 @@ impl Runner {
             if let Some(built) = self.unchanged(&recipe, start)? {
                 return Ok(built);
             }
-            let (choice, names, findings) = self.with_episodes(policy, artifacts, judge, &|on, roll| {
-                let findings = scores::findings(&audit.artifact, on.names)?;
-                let scores = scores::scores(&episodes.artifact, &audit.artifact, on.names)?;
+            let (choice, demos, findings) = self.with_episodes(policy, artifacts, judge, &|on, roll| {
+                let findings = scores::findings(&audit.artifact, on.demos.len())?;
+                let names: Vec<String> = on.demos.iter().map(|demo| demo.name.clone()).collect();
+                let scores = scores::scores(&episodes.artifact, &audit.artifact, &names)?;
                 let request = Curate {
-                    demos: on.names.len(),
+                    demos: on.demos.len(),
                     scenes: on.scenes.len(),
                     max_steps: self.pipeline.rollout()?.max_steps,
                     scores: &scores,
@@ -110,20 +111,20 @@ impl Runner {
                 };
                 let mut choice = curate(&request, roll)?;
                 if curation.curve {
-                    let random = shuffled(on.names.len() as u32, 0);
+                    let random = shuffled(on.demos.len() as u32, 0);
                     choice.rounds.extend(learning_curve(&request, &choice.ranking(), &random, roll)?);
                 }
-                Ok((choice, on.names.to_vec(), findings))
+                Ok((choice, on.demos.to_vec(), findings))
             })?;
-            let judged = self.judge(curation, &choice, &names)?;
+            let judged = self.judge(curation, &choice, &demos)?;
             self.build(&recipe, |writer| {
                 let taken = choice.rounds.iter().rev().find(|round| round.taken);
-                writer.write_rows(CuratedRow::rows(&choice, &names, &findings))?;
+                writer.write_rows(CuratedRow::rows(&choice, &demos, &findings))?;
                 writer.write_rows(RoundRow::rows(&choice))?;
                 writer.write_rows(judged.iter().cloned())?;
                 Ok(ArtifactSummary {
                     summary: json!({
-                        "demonstrations": names.len(),
+                        "demonstrations": demos.len(),
                         "kept": choice.kept.len(),
                         "sets_tried": choice.rounds.len(),
                         "tuned": {
@@ -160,22 +161,22 @@ impl Runner {
     }
 
     /// Rolls out the curated set, all demonstrations, and random sets on the seeds of the judgement.
-    fn judge(&self, curation: &Curation, choice: &Choice, names: &[String]) -> Result<Vec<JudgedRow>> {
+    fn judge(&self, curation: &Curation, choice: &Choice, demos: &[Demo]) -> Result<Vec<JudgedRow>> {
         let Some(seeds) = &curation.judge else {
             return Ok(Vec::new());
         };
         let count = choice.kept.len();
-        let all: BTreeSet<u32> = (0..names.len() as u32).collect();
+        let all: BTreeSet<u32> = (0..demos.len() as u32).collect();
         let mut sets = vec![("curated".to_owned(), choice.kept.clone()), ("all".to_owned(), all)];
         sets.extend((1..=curation.random).map(|number| {
-            let order = shuffled(names.len() as u32, number);
+            let order = shuffled(demos.len() as u32, number);
             (format!("random {number}"), order.into_iter().take(count).collect())
         }));
         let mut results = Vec::new();
         for (name, set) in &sets {
             self.notes
                 .note(&format!("{:>10}  {name}, {} demonstrations", "judge", set.len()));
-            results.push(self.results(set, names, seeds)?);
+            results.push(self.results(set, demos, seeds)?);
         }
         let curated = results.first().cloned().context("no curated set")?;
         let rows = sets.iter().zip(&results);
@@ -185,13 +186,13 @@ impl Runner {
     }
 
     /// The results of the pipeline with only some demonstrations.
-    fn results(&self, set: &BTreeSet<u32>, names: &[String], seeds: &Seeds) -> Result<Vec<ResultOf>> {
+    fn results(&self, set: &BTreeSet<u32>, demos: &[Demo], seeds: &Seeds) -> Result<Vec<ResultOf>> {
         let mut pipeline = self.pipeline.clone();
         let picks = set
             .iter()
-            .filter_map(|&demo| names.get(demo as usize))
-            .map(|name| name.as_str().into());
-        if set.len() < names.len() {
+            .filter_map(|&demo| demos.get(demo as usize))
+            .map(|demo| demo.name.as_str().into());
+        if set.len() < demos.len() {
             pipeline.ingest.select = Selection::List(picks.collect());
         }
         pipeline.rollout.as_mut().context("no table [rollout]")?.seeds = Some(seeds.clone());
@@ -305,10 +306,10 @@ fn shuffled(count: u32, seed: u32) -> Vec<u32> {
 }
 
 /// Refuses an `audit` artifact that does not list every demonstration.
-fn check_count(found: usize, names: &[String]) -> Result<()> {
+fn check_count(found: usize, expected: usize) -> Result<()> {
     ensure!(
-        found == names.len(),
-        "the audit lists {found} demonstrations instead of {}", names.len();
+        found == expected,
+        "the audit lists {found} demonstrations instead of {expected}";
         "delete the audit artifact and run again"
     );
     Ok(())

@@ -10,16 +10,16 @@ use re4_audit::AuditedEpisodeRow;
 use re4_influence::Score;
 
 use super::check_count;
-use crate::inputs::demos::SpatialEpisodes;
+use crate::inputs::demos::{SpatialEpisodes, is_spatial};
 use crate::inputs::episodes::read_episodes;
 
 /// Name of the table of quality scores in an `audit` artifact, if it has one.
 const SCORES: &str = "scores";
 
 /// Number of errors and warnings of each demonstration.
-pub(super) fn findings(audit: &Artifact, names: &[String]) -> Result<Vec<u32>> {
+pub(super) fn findings(audit: &Artifact, demos: usize) -> Result<Vec<u32>> {
     let rows: Vec<AuditedEpisodeRow> = audit.read()?;
-    check_count(rows.len(), names)?;
+    check_count(rows.len(), demos)?;
     Ok(rows.iter().map(|row| row.errors + row.warnings).collect())
 }
 
@@ -27,7 +27,7 @@ pub(super) fn findings(audit: &Artifact, names: &[String]) -> Result<Vec<u32>> {
 pub(super) fn scores(episodes: &Artifact, audit: &Artifact, names: &[String]) -> Result<Vec<Score>> {
     let mut scores = of_audit(audit, names)?;
     let rows: Vec<AuditedEpisodeRow> = audit.read()?;
-    check_count(rows.len(), names)?;
+    check_count(rows.len(), names.len())?;
     let duration = rows.iter().map(|row| Some(row.frames as f64)).collect();
     let paths = paths(episodes)?;
     let length = |demo: usize| paths.get(&(demo as u32)).map(|positions| path_length(positions));
@@ -98,8 +98,7 @@ fn of_audit(audit: &Artifact, names: &[String]) -> Result<Vec<Score>> {
 
 /// Positions of the end effector in every demonstration, px or m.
 fn paths(episodes: &Artifact) -> Result<BTreeMap<u32, Vec<Vector3<f64>>>> {
-    let spatial = episodes.has::<re4_ingest::DemoRow>();
-    if !spatial {
+    if !is_spatial(episodes)? {
         let all = read_episodes(episodes)?;
         let positions = all.into_iter().map(|episode| {
             let frames = episode.frames.iter();

@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use anyhow::Result;
-use re4_artifact::{ArtifactSummary, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
+use re4_episode::{PlanarEpisode, SpatialEpisode};
 use re4_fault::{bail, ensure};
 use re4_influence::{
-    Change, Episode, Evaluation, InfluenceRow, JudgedEpisodeRow, PairRow, Roll, Scenes, Without, episode_rows,
+    Change, Demo, Episode, Evaluation, InfluenceRow, JudgedEpisodeRow, PairRow, Roll, Scenes, Without, episode_rows,
     evaluate, influence_rows, leave_one_out, pair_rows,
 };
 use re4_policy::kinds::Kinds as _;
@@ -17,7 +18,7 @@ use re4_sim::{GOAL, ResetOrder, Scene};
 use serde_json::{Value, json};
 
 use super::{RolloutArtifacts, RolloutSetup};
-use crate::inputs::demos::{SpatialEpisodes, demo_names};
+use crate::inputs::demos::{SpatialEpisodes, demo_names, is_spatial};
 use crate::inputs::episodes::read_episodes;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
@@ -60,8 +61,8 @@ pub struct Checked {
 pub(crate) struct OnScenes<'a> {
     /// The kind of every scene: first the given ones.
     pub(crate) scenes: &'a [Scenes],
-    /// Names of the demonstrations.
-    pub(crate) names: &'a [String],
+    /// The demonstrations.
+    pub(crate) demos: &'a [Demo],
 }
 
 /// What is computed from the episodes of the scenes.
@@ -89,9 +90,9 @@ impl Runner {
                     for kind in [Scenes::Given, Scenes::Starts] {
                         let (base, changes) = of_kind(kind, on.scenes, &all, &changes);
                         if !base.episodes.is_empty() {
-                            rows.extend(influence_rows(kind, on.names, &base, &changes));
+                            rows.extend(influence_rows(kind, on.demos, &base, &changes));
                             episodes.extend(episode_rows(kind, &base, &changes));
-                            pairs.extend(pair_rows(kind, on.names, &base, &changes));
+                            pairs.extend(pair_rows(kind, on.demos, &base, &changes));
                         }
                     }
                     let summary = summary(&rows, &episodes, pairs.len());
@@ -141,7 +142,7 @@ impl Runner {
                             differing.push(format!(
                                 "scene {} without {}: success {}, score {}, {} steps instead of {}, {}, {}",
                                 episode.seed,
-                                on.names.get(demo as usize).map_or("?", String::as_str),
+                                on.demos.get(demo as usize).map_or("?", |demo| &demo.name),
                                 episode.success,
                                 episode.score,
                                 episode.steps,
@@ -155,7 +156,7 @@ impl Runner {
                 Ok(Checked {
                     demos: sample
                         .iter()
-                        .filter_map(|&demo| on.names.get(demo as usize).cloned())
+                        .filter_map(|&demo| on.demos.get(demo as usize).map(|demo| demo.name.clone()))
                         .collect(),
                     episodes: sample.len() * on.scenes.len(),
                     differing,
@@ -234,10 +235,9 @@ impl Runner {
         own: Vec<Start<D>>,
         body: &Body<'_, R>,
     ) -> Result<R> {
-        let names = demo_names(&artifacts.episodes.artifact)?;
-        let names: Vec<String> = (0..).map_while(|demo| names.get(demo).map(str::to_owned)).collect();
+        let demos = read_demos(&artifacts.episodes.artifact)?;
         ensure!(
-            names.len() > 1,
+            demos.len() > 1,
             "there is only one demonstration, and the policy cannot act without it";
             "select more demonstrations"
         );
@@ -278,7 +278,7 @@ impl Runner {
         body(
             &OnScenes {
                 scenes: &scenes,
-                names: &names,
+                demos: &demos,
             },
             &mut roll,
         )
@@ -310,6 +310,30 @@ impl Runner {
         }
         self.with_goals(starts)
     }
+}
+
+/// The names of demonstrations and the first positions of their objects.
+fn read_demos(episodes: &Artifact) -> Result<Vec<Demo>> {
+    let names = demo_names(episodes)?;
+    let starts: Vec<[f64; 2]> = if is_spatial(episodes)? {
+        let first = |demo: Result<(u32, SpatialEpisode)>| {
+            let (_, episode) = demo?;
+            let at = episode.frames.first().map(|frame| frame.object.translation.vector);
+            Ok(at.map_or([f64::NAN; 2], |at| [at.x, at.y]))
+        };
+        SpatialEpisodes::open(episodes)?.map(first).collect::<Result<_>>()?
+    } else {
+        let first = |episode: &PlanarEpisode| episode.frames.first().map(|frame| frame.object);
+        let all = read_episodes(episodes)?;
+        all.iter()
+            .map(|episode| first(episode).map_or([f64::NAN; 2], |at| [at.x, at.y]))
+            .collect()
+    };
+    let demos = (0..).zip(starts).map(|(demo, start)| Demo {
+        name: names.of(demo),
+        start,
+    });
+    Ok(demos.collect())
 }
 
 /// Scenes that start from the first object poses of the demonstrations, perturbed. The arm starts as in the scene of a seed.
