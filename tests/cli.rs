@@ -17,6 +17,8 @@ pub(crate) const COMMANDS: [&str; 18] = [
     "rollout",
     "run",
     "compare",
+    "influence",
+    "curate",
     "replay",
     "video",
     "verify",
