@@ -23,7 +23,7 @@ pub enum Aim {
     Harmful,
     /// Drops only the demonstrations on which no episode depends.
     Redundant,
-    /// As `Harmful`, and then drops further demonstrations as long as the mean cost is within one standard error of the least.
+    /// As `Harmful`, and then drops further demonstrations as long as the mean cost is within one standard error of the minimum.
     Smallest,
 }
 
