@@ -53,7 +53,7 @@ pub(super) fn scatter(demos: &[Mark], scenes: &[Mark]) -> Markup {
         svg.chart viewBox=(format!("0 0 {WIDTH} {HEIGHT}")) role="img" aria-label="Start positions of demonstrations and scenes" {
             @for mark in scenes.iter().filter(shown) {
                 @let [a, b] = [x(mark.at[0]), y(mark.at[1])];
-                path.cross class=(mark.class) d=(format!("M{} {}l6 6m0 -6l-6 6", text(a - 3.0), text(b - 3.0))) { title { (mark.title) } }
+                path class={ "cross " (mark.class) } d=(format!("M{} {}l6 6m0 -6l-6 6", text(a - 3.0), text(b - 3.0))) { title { (mark.title) } }
             }
             @for mark in demos.iter().filter(shown) {
                 circle class=(mark.class) cx=(text(x(mark.at[0]))) cy=(text(y(mark.at[1]))) r="4" { title { (mark.title) } }
