@@ -4,6 +4,7 @@ use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
 use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
+use re4_influence::{CuratedRow, InfluenceRow, JudgedEpisodeRow, JudgedRow, PairRow, RoundRow};
 use re4_ingest::{
     Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
 };
@@ -64,6 +65,8 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             DivergenceRow::<SpatialDivergence>::table(),
         ],
         Stage::Compare => vec![CellRow::table(), DifferenceRow::table(), CurveRow::table()],
+        Stage::Influence => vec![InfluenceRow::table(), JudgedEpisodeRow::table(), PairRow::table()],
+        Stage::Curate => vec![CuratedRow::table(), RoundRow::table(), JudgedRow::table()],
         Stage::TrainPose => vec![
             PoseRow::<Estimate>::table(),
             PoseRow::<SpatialEstimate>::table(),
@@ -190,6 +193,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 53);
+        assert_eq!(names.len(), 59);
     }
 }

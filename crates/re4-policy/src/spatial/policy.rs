@@ -1,12 +1,13 @@
 //! The RE4 loop in SE(3) (paper, Algorithm 1), executed one control step at a time.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{is_valid_pose, pose_distance, step_toward};
 use re4_index::{IndexError, SpatialDistances, SpatialQuery};
-use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space};
+use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space, Trace};
 
 use crate::LookupError;
 use crate::spatial::bans::Bans;
@@ -52,6 +53,7 @@ pub struct SpatialRe4 {
     /// The demonstration whose action last closed the gripper.
     grasped_by: Option<u32>,
     newly_banned: Vec<u32>,
+    trace: Trace,
     step: u32,
 }
 
@@ -141,7 +143,25 @@ impl SpatialRe4 {
             followed: None,
             grasped_by: None,
             newly_banned: Vec::new(),
+            trace: Trace::default(),
             step: 0,
+        }
+    }
+
+    /// The same policy without some of its demonstrations, which reports what its decisions depend on.
+    #[must_use]
+    pub fn without(self, without: &Arc<BTreeSet<u32>>) -> Self {
+        let left_out = without
+            .iter()
+            .filter(|demo| self.knowledge.demos().demo(**demo).is_some());
+        Self {
+            bans: Bans::new(
+                self.config.recovery.ban.clone(),
+                self.knowledge.demos().len() - left_out.count(),
+                self.config.replay.horizon,
+            ),
+            trace: Trace::without(without),
+            ..self
         }
     }
 
@@ -164,6 +184,10 @@ impl PolicyFactory<Space> for SpatialRe4Factory {
 
     fn start(&self, _: u32, first: &ArmState) -> SpatialRe4 {
         SpatialRe4::new(self.config.clone(), Arc::clone(&self.knowledge), first.eef)
+    }
+
+    fn start_without(&self, seed: u32, first: &ArmState, without: &Arc<BTreeSet<u32>>) -> Option<SpatialRe4> {
+        Some(self.start(seed, first).without(without))
     }
 }
 
@@ -211,6 +235,10 @@ impl Policy<Space> for SpatialRe4 {
             self.observe_object(&mut observed, &mut observer)?;
         }
         self.step(observed, observer)
+    }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
     }
 }
 
@@ -401,6 +429,13 @@ impl SpatialRe4 {
         if self.bans.ban(demo) {
             self.newly_banned.push(demo);
         }
+        // Without the only demonstration that is not banned, all bans would have been lifted.
+        if self.trace.is_on() && self.bans.is_nearly_full() {
+            let banned = self.bans.set();
+            let others = self.knowledge.demos().iter().map(|(demo, _)| demo);
+            let others: Vec<u32> = others.filter(|demo| !banned.contains(demo)).collect();
+            self.trace.consider(others);
+        }
     }
 
     /// Starts the return home, and bans the demonstration that made the grasp and the one that was being followed when the grasp
@@ -471,6 +506,7 @@ impl SpatialRe4 {
         let observed = &*observed;
         let (kind, demo, frame, distances) = loop {
             let (kind, demo, frame, distances) = self.retrieve(observed)?;
+            self.trace.consider([demo]);
             if !self.bans.is_repeated(observed.mode, demo, frame) {
                 break (kind, demo, frame, distances);
             }
@@ -483,20 +519,22 @@ impl SpatialRe4 {
     /// Returns the frame to continue from: the retrieved frame or, if it is nearly as close, the next frame of the current
     /// demonstration.
     fn retrieve(
-        &self,
+        &mut self,
         observed: &Observation,
     ) -> Result<(SpatialDecisionKind, u32, u32, SpatialDistances), LookupError> {
-        let knowledge = &self.knowledge;
+        let knowledge = Arc::clone(&self.knowledge);
         let (query, stage2) = (observed.query(), self.config.retrieve.stage2);
         let found = knowledge
             .index()
-            .retrieve(&query, stage2, self.bans.set())?
+            .retrieve_without(&query, stage2, self.bans.set(), self.trace.left_out())?
             .ok_or(LookupError::NoFrameOfMode { mode: observed.mode })?;
+        // Also if the policy continues with its demonstration, because the margin is relative to this frame.
+        self.trace.consider([found.episode]);
         if let (Some(margin), Some(Followed { demo, next: Some(next) })) =
             (self.config.retrieve.commit_margin, self.followed)
             && !self.bans.set().contains(&demo)
         {
-            let frames = frames_of(knowledge, demo, next as usize)?;
+            let frames = frames_of(&knowledge, demo, next as usize)?;
             let frame = &frames[next as usize];
             let distances = knowledge.index().distances(&query, &frame.eef, &frame.object)?;
             if frame.mode == observed.mode && distances.d_q <= found.distances.d_q + margin {

@@ -3,6 +3,7 @@
 pub(crate) mod audit;
 pub(crate) mod comparison;
 pub(crate) mod findings;
+pub(crate) mod influence;
 pub(crate) mod plane;
 pub(crate) mod report;
 pub(crate) mod space;

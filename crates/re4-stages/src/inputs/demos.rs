@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
-use re4_artifact::Artifact;
+use re4_artifact::{Artifact, Row as _};
 use re4_audit::SpatialDemo;
 use re4_episode::{SpatialEpisode, episode_name};
 use re4_fault::{Fault, OrFault as _, ensure, fault};
@@ -33,6 +33,12 @@ pub(crate) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
 fn names(episodes: &Artifact) -> Result<Vec<String>> {
     let rows = episodes.read::<DemoRow>()?;
     Ok(rows.into_iter().map(|row| row.demo).collect())
+}
+
+/// Whether an `episodes` artifact has demonstrations of a robosuite task.
+pub(crate) fn is_spatial(episodes: &Artifact) -> Result<bool> {
+    let frames = episodes.table_named(FrameRow::<SpatialColumns>::NAME)?;
+    Ok(frames.domain().as_deref() == Some(FrameRow::<SpatialColumns>::table().domain))
 }
 
 /// The error of a stage that needs object poses when the dataset has none.
