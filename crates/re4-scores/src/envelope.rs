@@ -8,22 +8,23 @@ use crate::motion::{Motion, length};
 const POINTS: usize = 64;
 
 /// Trajectory-envelope distance by mode segment, after RINSE (Sojib and Begum 2026): each segment of the end effector's path is
-/// compared with the cubic Bézier curve between its ends that fits it best, point by point at equal path lengths. Returns the mean
-/// distance over the whole path, in the unit of the motion: 0 if every segment is a line or a simple curve. `None` if the end effector
-/// does not move.
+/// compared with the cubic Bézier curve between its ends that fits it best, point by point at equal path lengths. Returns the area
+/// between path and curves, divided by the distances between the ends of the segments, in the unit of the motion: 0 if every segment
+/// is a line or a simple curve. A path of the same shape that is longer because it goes back and forth has a larger value. `None` if
+/// no segment has ends that are apart.
 ///
-/// The publication describes the idea, a smooth envelope for each phase of contact; the fit is ours.
+/// The publication describes the idea, a smooth envelope for each phase of contact; the fit and the scale are ours.
 pub fn envelope_distance(motion: &Motion) -> Option<f64> {
-    let (mut weighted, mut total) = (0.0, 0.0);
+    let (mut area, mut covered) = (0.0, 0.0);
     for segment in &motion.segments {
         let path = motion.path(segment);
         let travelled = length(path);
         if travelled > 0.0 {
-            weighted += travelled * deviation(&resample(path, POINTS));
-            total += travelled;
+            area += travelled * deviation(&resample(path, POINTS));
+            covered += path.first().zip(path.last()).map_or(0.0, |(first, last)| (last - first).norm());
         }
     }
-    (total > 0.0).then(|| weighted / total)
+    (covered > 0.0).then(|| area / covered)
 }
 
 /// Points at equal distances along a path, with both ends. The path has a length above 0.

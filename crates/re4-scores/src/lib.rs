@@ -15,7 +15,7 @@ mod tables;
 
 pub use envelope::envelope_distance;
 pub use information::{NEIGHBOURS, REFERENCE, information};
-pub use motion::{IDLE_FRACTION, LEVER, Motion, chunks, idle_share, path_efficiency, regrasps};
+pub use motion::{Motion, chunks, idle_share, path_efficiency, regrasps};
 pub use novelty::{Descriptor, describe, nearest};
 pub use ranks::{correlation, ranks};
 pub use sketch::{Sketch, score};

@@ -1,15 +1,8 @@
 //! The motion of a demonstration, and the scores that follow from it directly.
 
 use nalgebra::Vector3;
+use re4_episode::pace::{IDLE_FRACTION, fast_step, reach};
 use re4_episode::{Mode, PlanarEpisode, Segment, SpatialEpisode, SpatialFrame};
-
-/// Length of the lever that converts a rotation to a distance, in metres per rad: the ratio of the policy's scales for translations
-/// and rotations (0.1 m and 1 rad).
-pub const LEVER: f64 = 0.1;
-
-/// Fraction of the peak speed below which a step is idle. Studies of reaching use this fraction to determine the start and the end
-/// of a movement (Balasubramanian et al. 2012).
-pub const IDLE_FRACTION: f64 = 0.05;
 
 /// Numbers that describe a state, or the actions of a chunk.
 pub(crate) const FEATURES: usize = 7;
@@ -27,7 +20,7 @@ pub struct Motion {
     pub eef: Vec<Vector3<f64>>,
     /// Positions of the object, one per frame.
     pub object: Vec<Vector3<f64>>,
-    /// Distances that the end effector moves, one per step, with rotations converted by [`LEVER`].
+    /// Distances that the end effector moves, one per step, with rotations converted by [`re4_episode::pace::LEVER`].
     pub steps: Vec<f64>,
     /// Changes of the finger separation, one per step; empty without a gripper.
     pub fingers: Vec<f64>,
@@ -49,7 +42,7 @@ impl Motion {
         Self {
             eef: frames.iter().map(|frame| frame.eef.translation.vector).collect(),
             object: frames.iter().map(|frame| frame.object.translation.vector).collect(),
-            steps: pairs().map(|(now, next)| step(now, next)).collect(),
+            steps: pairs().map(|(now, next)| reach(&now.eef, &next.eef)).collect(),
             fingers: pairs()
                 .map(|(now, next)| (next.finger_separation() - now.finger_separation()).abs())
                 .collect(),
@@ -101,11 +94,6 @@ impl Motion {
     }
 }
 
-fn step(now: &SpatialFrame, next: &SpatialFrame) -> f64 {
-    let moved = (next.eef.translation.vector - now.eef.translation.vector).norm();
-    moved + LEVER * now.eef.rotation.angle_to(&next.eef.rotation)
-}
-
 /// End effector in the world, object relative to it, and the fingers.
 fn spatial_state(frame: &SpatialFrame) -> [f64; FEATURES] {
     let (eef, object) = (frame.eef.translation.vector, frame.object.translation.vector);
@@ -137,24 +125,16 @@ pub fn path_efficiency(motion: &Motion) -> Option<f64> {
 /// recorder does not count. `None` if there is no step or no motion.
 pub fn idle_share(motion: &Motion) -> Option<f64> {
     let slow = |steps: &[f64]| {
-        let limit = IDLE_FRACTION * peak(steps);
+        let limit = IDLE_FRACTION * fast_step(steps.iter().copied());
         steps.iter().map(|&step| step <= limit).collect::<Vec<_>>()
     };
-    if peak(&motion.steps) == 0.0 {
+    if fast_step(motion.steps.iter().copied()) == 0.0 {
         return None;
     }
     let (arm, fingers) = (slow(&motion.steps), slow(&motion.fingers));
     let idle = arm.iter().enumerate();
     let idle = idle.filter(|&(step, &still)| still && fingers.get(step).copied().unwrap_or(true));
     Some(idle.count() as f64 / arm.len() as f64)
-}
-
-/// The 95th percentile of the values above 0; 0 if there are none.
-fn peak(steps: &[f64]) -> f64 {
-    let mut moving: Vec<f64> = steps.iter().copied().filter(|&step| step > 0.0).collect();
-    moving.sort_by(f64::total_cmp);
-    let at = (0.95 * moving.len() as f64) as usize;
-    moving.get(at).or(moving.last()).copied().unwrap_or(0.0)
 }
 
 /// Regrasps: the number of transfer segments after the first one. `None` without a gripper.

@@ -16,8 +16,8 @@ columns! {
         pub log_dimensionless_jerk: Option<f64>,
         /// Spectral arc length of the end effector's speed (SPARC; Balasubramanian et al. 2012 and 2015). Higher is smoother.
         pub spectral_arc_length: Option<f64>,
-        /// Trajectory-envelope distance: mean distance of the path from the best cubic curve of each mode segment (after RINSE; Sojib
-        /// and Begum 2026), in m, in px for Push-T. Lower is smoother.
+        /// Trajectory-envelope distance: area between the path and the best cubic curve of each mode segment, divided by the distances
+        /// between the ends of the segments (after RINSE; Sojib and Begum 2026), in m, in px for Push-T. Lower is smoother.
         pub envelope_distance: Option<f64>,
         /// Idle share: fraction of the steps in which neither the end effector nor the fingers move at more than 5 % of their peak
         /// speed. Lower is better.

@@ -15,9 +15,10 @@ mod demos;
 mod estimate;
 mod policy;
 mod reframe;
+mod retime;
 
 pub use config::{
-    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SettleConfig, SpatialPolicyConfig,
+    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, RetimeConfig, SettleConfig, SpatialPolicyConfig,
     SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig, SpatialRetrieveConfig,
     TransferReplay, WhileHeld,
 };

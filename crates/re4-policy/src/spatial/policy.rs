@@ -14,6 +14,7 @@ use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConf
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
+use crate::spatial::retime::Pace;
 use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
 
 /// Command that opens the gripper.
@@ -336,9 +337,16 @@ impl SpatialRe4 {
             });
             return Ok((None, None));
         }
-        let frame = &frames[chunk.next];
+        let pace = Pace {
+            frames,
+            free: knowledge.free(chunk.demo),
+            replan: &self.config.replan,
+        };
+        let (at, goal) = pace.next(chunk.next, &chunk.carry, &observed.eef);
+        chunk.next = at;
+        let frame = &frames[at];
         let action = ArmAction {
-            goal: chunk.carry.goal(&frame.goal),
+            goal,
             gripper: frame.gripper,
         };
         if action.gripper > 0.0 && self.gripper <= 0.0 {
@@ -534,7 +542,12 @@ impl SpatialRe4 {
             without_reframe_spatial(&first.eef)
         };
         let horizon = self.config.replay.horizon.max(1) as usize;
-        let mut end = start.saturating_add(horizon - 1).min(frames.len() - 1);
+        let pace = Pace {
+            frames,
+            free: knowledge.free(demo),
+            replan: &self.config.replan,
+        };
+        let mut end = pace.end(start, horizon);
         if self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release) {
             end = frames.len() - 1;
         }
@@ -552,8 +565,8 @@ impl SpatialRe4 {
         }));
         let choice = SpatialChoice {
             demo,
-            demo_frame: start as u32,
-            demo_end: end as u32,
+            demo_frame: knowledge.recorded_frame(demo, start),
+            demo_end: knowledge.recorded_frame(demo, end),
             d_q: distances.d_q,
             d_o: distances.d_o,
             d_e: distances.d_e,
