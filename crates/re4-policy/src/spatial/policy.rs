@@ -80,6 +80,8 @@ struct Chunk {
     aligned: Isometry3<f64>,
     /// Whether the transformation of the chunk is final. If not, it is measured again at every step.
     is_final: bool,
+    /// Number of steps in which the replay waited for the end effector to arrive before a contact.
+    waited: u32,
     /// Number of steps of the bridge so far, or `None` if the bridge has ended.
     bridge: Option<u32>,
 }
@@ -342,17 +344,17 @@ impl SpatialRe4 {
             free: knowledge.free(chunk.demo),
             replan: &self.config.replan,
         };
-        let (at, goal) = pace.next(chunk.next, &chunk.carry, &observed.eef);
-        chunk.next = at;
-        let frame = &frames[at];
+        let paced = pace.next(chunk.next, &chunk.carry, &observed.eef);
         let action = ArmAction {
-            goal,
-            gripper: frame.gripper,
+            goal: paced.goal,
+            gripper: frames[paced.frame].gripper,
         };
         if action.gripper > 0.0 && self.gripper <= 0.0 {
             self.grasped_by = Some(chunk.demo);
         }
-        chunk.next += 1;
+        let waits = !paced.arrived && chunk.waited < self.config.replan.max_steps;
+        chunk.waited += u32::from(waits);
+        chunk.next = paced.frame + usize::from(!waits);
         self.activity = Activity::Chunk(chunk);
         Ok((Some((action, Phase::Replay)), None))
     }
@@ -556,6 +558,7 @@ impl SpatialRe4 {
             demo,
             start,
             next: start,
+            waited: 0,
             end,
             mode: observed.mode,
             carry,

@@ -42,6 +42,17 @@ pub(crate) fn free_frames(frames: &[SpatialDemoFrame], retime: &RetimeConfig) ->
     free
 }
 
+/// What to command next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Paced {
+    /// The frame whose gripper command is given.
+    pub(crate) frame: usize,
+    /// The goal, in the world frame.
+    pub(crate) goal: Isometry3<f64>,
+    /// Whether the frame after it may follow. If not, the end effector has not arrived at the last frame before a contact.
+    pub(crate) arrived: bool,
+}
+
 /// The pace at which a demonstration is replayed.
 pub(crate) struct Pace<'a> {
     /// All frames of the demonstration.
@@ -85,21 +96,35 @@ impl Pace<'_> {
         end
     }
 
-    /// Returns the frame whose action comes next, at least `next`, and the goal to command.
+    /// Returns what to command next, from frame `next` on.
     ///
-    /// At the robot's pace, this is the nearest frame to the end effector on the path ahead, and the goal is the recorded pose of the
-    /// end effector at most the lead ahead of that frame, along the path. Both stay within the free frames.
-    pub(crate) fn next(&self, next: usize, carry: &Carry, eef: &Isometry3<f64>) -> (usize, Isometry3<f64>) {
+    /// At the robot's pace, the frame is the nearest one to the end effector on the path ahead, and the goal is the recorded pose of the
+    /// end effector at most the lead ahead of that frame, along the path. Both stay within the free frames. Before a contact, the end
+    /// effector has to arrive at the last free frame, as at the end of a bridge.
+    pub(crate) fn next(&self, next: usize, carry: &Carry, eef: &Isometry3<f64>) -> Paced {
         if !self.is_free(next) {
-            return (next, carry.goal(&self.frames[next].goal));
+            return self.recorded(next, carry);
         }
-        let at = self.nearest(next, carry, eef);
-        let ahead = self.ahead(at);
-        if ahead == at {
-            // The next frame is not free: the recorded action leads into it.
-            return (at, carry.goal(&self.frames[at].goal));
+        let frame = self.nearest(next, carry, eef);
+        let ahead = self.ahead(frame);
+        let goal = carry.goal(&self.frames[ahead].eef);
+        if ahead > frame {
+            return Paced { frame, goal, arrived: true };
         }
-        (at, carry.goal(&self.frames[ahead].eef))
+        let (distance, angle) = pose_distance(&goal, eef);
+        if distance <= self.replan.tolerance_translation && angle <= self.replan.tolerance_rotation {
+            // The recorded action leads into the contact.
+            return self.recorded(frame, carry);
+        }
+        Paced { frame, goal, arrived: false }
+    }
+
+    fn recorded(&self, frame: usize, carry: &Carry) -> Paced {
+        Paced {
+            frame,
+            goal: carry.goal(&self.frames[frame].goal),
+            arrived: true,
+        }
     }
 
     /// Returns the last frame that is at most the lead ahead of a frame, along the path, with only free frames in between.
@@ -158,7 +183,8 @@ mod tests {
             without_reframe_spatial(&frames[0].eef),
         );
         for at in 90..=110 {
-            assert_eq!(pace.next(at, &carry, &frames[at].eef), (at, frames[at].goal));
+            let recorded = Paced { frame: at, goal: frames[at].goal, arrived: true };
+            assert_eq!(pace.next(at, &carry, &frames[at].eef), recorded);
         }
     }
 
@@ -170,18 +196,20 @@ mod tests {
         let pace = Pace { frames: &frames, free: &free, replan: &replan };
         let carry = without_reframe_spatial(&frames[0].eef);
         let goal_at = |next: usize, eef: usize| {
-            let (at, goal) = pace.next(next, &carry, &frames[eef].eef);
-            (at, (goal.translation.x / 0.002).round() as usize)
+            let next = pace.next(next, &carry, &frames[eef].eef);
+            (next.frame, (next.goal.translation.x / 0.002).round() as usize, next.arrived)
         };
-        assert_eq!(goal_at(0, 0), (0, 25));
+        assert_eq!(goal_at(0, 0), (0, 25, true));
         // The end effector is ahead of the next frame.
-        assert_eq!(goal_at(10, 14), (14, 39));
+        assert_eq!(goal_at(10, 14), (14, 39, true));
         // The end effector lags behind: the replay waits.
-        assert_eq!(goal_at(10, 5), (10, 35));
+        assert_eq!(goal_at(10, 5), (10, 35, true));
         // Before a contact, the set-point stays outside it.
-        assert_eq!(goal_at(80, 80), (80, 89));
+        assert_eq!(goal_at(80, 80), (80, 89, true));
         // The last free frame leads into it with its own action.
-        assert_eq!(goal_at(89, 89), (89, 90));
+        assert_eq!(goal_at(89, 89), (89, 90, true));
+        // If the end effector is more than the tolerance of 1 cm away, it arrives there first.
+        assert_eq!(goal_at(89, 83), (89, 89, false));
     }
 
     #[test]
@@ -195,6 +223,6 @@ mod tests {
         let recorded = Pace { frames: &frames, free: &[], replan: &replan };
         assert_eq!(recorded.end(0, 16), 15);
         assert_eq!(recorded.end(390, 16), 399);
-        assert_eq!(recorded.next(7, &without_reframe_spatial(&frames[0].eef), &frames[3].eef).0, 7);
+        assert_eq!(recorded.next(7, &without_reframe_spatial(&frames[0].eef), &frames[3].eef).frame, 7);
     }
 }

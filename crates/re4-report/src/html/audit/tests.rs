@@ -44,6 +44,8 @@ fn audit() -> Audit {
         outline: None,
         contacts: None,
         conventions: Vec::new(),
+        scores: Vec::new(),
+        shots: Vec::new(),
         flags: vec![Flag {
             label: "holds".to_owned(),
             values: vec![Some(true), None, Some(false), Some(true), None],
