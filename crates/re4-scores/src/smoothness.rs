@@ -21,7 +21,7 @@ const PADDING: usize = 16;
 /// -ln( T^3 / max |v|^2 * integral of |d^2 v / dt^2|^2 dt )
 /// ```
 ///
-/// Higher is smoother. It does not change when the movement is scaled in time or in space. A minimum-jerk movement has
+/// Higher is smoother. It does not change when the movement is scaled in time or in size. A minimum-jerk movement has
 /// -ln(720 / 1.875^2) = -5.32. `None` with fewer than 4 frames, or without motion.
 pub fn log_dimensionless_jerk(motion: &Motion) -> Option<f64> {
     let dt = motion.period;
@@ -42,7 +42,7 @@ pub fn log_dimensionless_jerk(motion: &Motion) -> Option<f64> {
 /// normalised amplitude spectrum, from frequency 0 to the last frequency up to 10 Hz at which the amplitude is at least 5 %. The
 /// frequency axis is divided by that frequency.
 ///
-/// Higher is smoother. It does not change when the movement is scaled in space. `None` without motion.
+/// Higher is smoother. It does not change when the movement is scaled in size. `None` without motion.
 pub fn spectral_arc_length(motion: &Motion) -> Option<f64> {
     let pairs = motion.eef.iter().zip(motion.eef.iter().skip(1));
     let speeds: Vec<f64> = pairs.map(|(now, next)| (next - now).norm()).collect();

@@ -299,7 +299,7 @@ fn close(a: Option<f64>, b: Option<f64>, tolerance: f64) -> bool {
 }
 
 proptest! {
-    /// Scaling a movement in space changes none of the dimensionless scores, and scales the envelope distance.
+    /// A change of the size of a movement changes none of the dimensionless scores, and scales the envelope distance.
     #[test]
     fn amplitude_does_not_matter(path in path(), scale in 0.01..100.0_f64) {
         let one = along(path.clone(), 0.05);

@@ -80,6 +80,8 @@ struct Chunk {
     aligned: Isometry3<f64>,
     /// Whether the transformation of the chunk is final. If not, it is measured again at every step.
     is_final: bool,
+    /// Number of actions after which the chunk ends although frames are left, at the robot's pace. `None` if all are replayed.
+    budget: Option<u32>,
     /// Number of steps in which the replay waited for the end effector to arrive before a contact.
     waited: u32,
     /// Number of steps of the bridge so far, or `None` if the bridge has ended.
@@ -329,6 +331,9 @@ impl SpatialRe4 {
                 return Ok((None, Some(self.abort_grasp(observed))));
             }
         }
+        if chunk.budget == Some(0) {
+            chunk.end = chunk.end.min(chunk.next.saturating_sub(1));
+        }
         if chunk.next > chunk.end && chunk.next < frames.len() && self.fingers_are_settling(observed) {
             chunk.end = chunk.next;
         }
@@ -352,6 +357,7 @@ impl SpatialRe4 {
         if action.gripper > 0.0 && self.gripper <= 0.0 {
             self.grasped_by = Some(chunk.demo);
         }
+        chunk.budget = chunk.budget.map(|left| left.saturating_sub(1));
         let waits = !paced.arrived && chunk.waited < self.config.replan.max_steps;
         chunk.waited += u32::from(waits);
         chunk.next = paced.frame + usize::from(!waits);
@@ -550,7 +556,8 @@ impl SpatialRe4 {
             replan: &self.config.replan,
         };
         let mut end = pace.end(start, horizon);
-        if self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release) {
+        let finishes = self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release);
+        if finishes {
             end = frames.len() - 1;
         }
         let bridge = self.config.replan.enabled && !self.is_at(&observed.eef, &carry.near);
@@ -558,6 +565,7 @@ impl SpatialRe4 {
             demo,
             start,
             next: start,
+            budget: (self.config.replay.retime.is_some() && !finishes).then_some(self.config.replay.horizon.max(1)),
             waited: 0,
             end,
             mode: observed.mode,

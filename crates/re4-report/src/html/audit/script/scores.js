@@ -52,7 +52,7 @@ const showScores = () => {
   }
   const total = REPORT.scores.demo.length;
   const words = REPORT.scores.columns.map(({ name }) => scoreColumn(name)).filter(({ valueOf }) => valueOf(selection.demo) !== null);
-  byId("evidence-scores").replaceChildren(`Scores, with rank of ${total}: `, ...words.map(({ title, valueOf, rankOf }, i) => html("span", { class: "score-word" }, `${i > 0 ? " · " : ""}${title} `, html("b", {}, figure(valueOf(selection.demo))), ` (${figure(rankOf(selection.demo))})`)));
+  byId("evidence-scores").replaceChildren(`Scores, with rank of ${total}: `, ...words.flatMap(({ title, valueOf, rankOf }, i) => [i > 0 ? " · " : "", html("span", { class: "score-word" }, `${title} `, html("b", {}, figure(valueOf(selection.demo))), ` (${figure(rankOf(selection.demo))})`)]));
 };
 
 const setUpScores = () => {
