@@ -96,7 +96,9 @@ fn cut_detours(frames: &[SpatialFrame], fast: &Fast, kept: &mut [bool]) {
             let left = between.iter().any(|frame| {
                 frame.closes() != frames[now].closes() || reach(&frames[now].eef, &frame.eef) > 2.0 * fast.arm
             });
-            left && !guarded(frames, now) && then + 1 < frames.len() && frames[then + 1].closes() == frames[then].closes()
+            left && !guarded(frames, now)
+                && then + 1 < frames.len()
+                && frames[then + 1].closes() == frames[then].closes()
         });
         now = match back {
             Some(then) => {

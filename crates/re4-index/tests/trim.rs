@@ -22,8 +22,15 @@ fn frame(x: f64, y: f64, object: f64, separation: f64, gripper: f64) -> SpatialF
 
 /// Moves along x from `from` to `to` in steps of 1 cm, with the gripper open and the object at 1 m.
 fn reach_along(from: i32, to: i32) -> Vec<SpatialFrame> {
-    let steps: Vec<i32> = if from <= to { (from..to).collect() } else { (to + 1..=from).rev().collect() };
-    steps.into_iter().map(|step| frame(f64::from(step) * 0.01, 0.0, 1.0, 0.08, -1.0)).collect()
+    let steps: Vec<i32> = if from <= to {
+        (from..to).collect()
+    } else {
+        (to + 1..=from).rev().collect()
+    };
+    steps
+        .into_iter()
+        .map(|step| frame(f64::from(step) * 0.01, 0.0, 1.0, 0.08, -1.0))
+        .collect()
 }
 
 fn cut(kept: &[bool]) -> Vec<usize> {
@@ -66,12 +73,20 @@ fn slow_progress_is_thinned_but_not_jumped() {
 fn idle_frames_around_a_change_of_the_gripper_are_kept() {
     let mut frames = reach_along(0, 20);
     frames.extend(vec![frames[19]; 30]);
-    let closed = SpatialFrame { gripper: 1.0, fingers: [0.02, -0.02], ..frames[19] };
+    let closed = SpatialFrame {
+        gripper: 1.0,
+        fingers: [0.02, -0.02],
+        ..frames[19]
+    };
     frames.extend(vec![closed; 30]);
     let kept = kept(&frames, &BOTH);
     // The command changes at frame 50.
     assert!((40..=59).all(|at| kept[at]), "{:?}", cut(&kept));
-    assert!((21..39).all(|at| !kept[at]) && (61..79).all(|at| !kept[at]), "{:?}", cut(&kept));
+    assert!(
+        (21..39).all(|at| !kept[at]) && (61..79).all(|at| !kept[at]),
+        "{:?}",
+        cut(&kept)
+    );
 }
 
 #[test]
@@ -87,11 +102,18 @@ fn moving_fingers_and_a_moving_object_are_not_idle() {
 fn a_detour_is_cut_if_the_state_is_the_same_after_it() {
     let mut frames = reach_along(0, 20);
     frames.extend((1..=15).map(|at| frame(0.19, f64::from(at) * 0.01, 1.0, 0.08, -1.0)));
-    frames.extend((0..15).rev().map(|at| frame(0.19, f64::from(at) * 0.01, 1.0, 0.08, -1.0)));
+    frames.extend(
+        (0..15)
+            .rev()
+            .map(|at| frame(0.19, f64::from(at) * 0.01, 1.0, 0.08, -1.0)),
+    );
     frames.extend(reach_along(20, 40));
     let kept_frames = kept(&frames, &[Trim::Detours]);
     let gone = cut(&kept_frames);
-    assert!(gone.len() >= 28 && gone.iter().all(|&at| (18..=51).contains(&at)), "{gone:?}");
+    assert!(
+        gone.len() >= 28 && gone.iter().all(|&at| (18..=51).contains(&at)),
+        "{gone:?}"
+    );
     // If the arm has moved the object meanwhile, it was no detour.
     for frame in &mut frames[35..] {
         frame.object.translation.vector.x += 0.002;
@@ -102,7 +124,9 @@ fn a_detour_is_cut_if_the_state_is_the_same_after_it() {
 /// Down to the object, fingers closed beside it, up again, then a grasp: the miss is cut, the grasp is not.
 #[test]
 fn a_missed_grasp_that_moves_nothing_is_a_detour() {
-    let down = |frames: &mut Vec<SpatialFrame>, x: f64| frames.extend((0..15).map(|at| frame(x, f64::from(at) * 0.01, 1.0, 0.08, -1.0)));
+    let down = |frames: &mut Vec<SpatialFrame>, x: f64| {
+        frames.extend((0..15).map(|at| frame(x, f64::from(at) * 0.01, 1.0, 0.08, -1.0)))
+    };
     let close = |frames: &mut Vec<SpatialFrame>, x: f64, end: f64| {
         frames.extend((0..12).map(|at| frame(x, 0.14, 1.0, (0.08 - f64::from(at) * 0.01).max(end), 1.0)));
     };
@@ -110,13 +134,21 @@ fn a_missed_grasp_that_moves_nothing_is_a_detour() {
     down(&mut frames, 0.0);
     close(&mut frames, 0.0, 0.0);
     frames.extend((0..9).map(|at| frame(0.0, 0.14, 1.0, f64::from(at) * 0.01, -1.0)));
-    frames.extend((0..15).rev().map(|at| frame(0.0, f64::from(at) * 0.01, 1.0, 0.08, -1.0)));
+    frames.extend(
+        (0..15)
+            .rev()
+            .map(|at| frame(0.0, f64::from(at) * 0.01, 1.0, 0.08, -1.0)),
+    );
     let missed = 20..frames.len() - 1;
     frames.extend(reach_along(0, 5));
     let grasp = frames.len();
     down(&mut frames, 0.05);
     close(&mut frames, 0.05, 0.04);
-    frames.extend((0..15).rev().map(|at| frame(0.05, f64::from(at) * 0.01, 1.0 + 0.01 * f64::from(15 - at), 0.04, 1.0)));
+    frames.extend(
+        (0..15)
+            .rev()
+            .map(|at| frame(0.05, f64::from(at) * 0.01, 1.0 + 0.01 * f64::from(15 - at), 0.04, 1.0)),
+    );
     let kept = kept(&frames, &BOTH);
     let gone = cut(&kept);
     assert!(gone.iter().all(|at| missed.contains(at) || *at < grasp), "{gone:?}");

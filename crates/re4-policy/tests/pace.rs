@@ -7,9 +7,7 @@ mod toy;
 use std::sync::Arc;
 
 use re4_geometry::spatial::Symmetry;
-use re4_policy::spatial::{
-    RetimeConfig, SpatialDecisionKind, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig,
-};
+use re4_policy::spatial::{RetimeConfig, SpatialDecisionKind, SpatialDemoSet, SpatialKnowledge, SpatialPolicyConfig};
 use toy::{Random, block, demonstrate_with_lead, episode};
 
 /// What 30 random placements give.
@@ -27,7 +25,13 @@ fn run(lead: f64, retime: Option<RetimeConfig>) -> Outcome {
     let mut config = SpatialPolicyConfig::re4();
     config.replay.retime = retime;
     let mut random = Random::new(1);
-    let mut placement = move || block(random.range(-0.15, 0.05), random.range(-0.2, 0.0), random.range(-0.6, 0.6));
+    let mut placement = move || {
+        block(
+            random.range(-0.15, 0.05),
+            random.range(-0.2, 0.0),
+            random.range(-0.6, 0.6),
+        )
+    };
     let demos = SpatialDemoSet::new((0..8).map(|number| (number, demonstrate_with_lead(placement(), 0, lead))));
     let mut knowledge = SpatialKnowledge::new(demos, &config.retrieve, Symmetry::None, |_, _| false).unwrap();
     if let Some(retime) = &config.replay.retime {
@@ -35,16 +39,28 @@ fn run(lead: f64, retime: Option<RetimeConfig>) -> Outcome {
     }
     let knowledge = Arc::new(knowledge);
     let mut random = Random::new(2);
-    let mut outcome = Outcome { successes: 0, lost: 0, steps: 0, off: 0.0 };
+    let mut outcome = Outcome {
+        successes: 0,
+        lost: 0,
+        steps: 0,
+        off: 0.0,
+    };
     let mut steps = Vec::new();
     for _ in 0..30 {
-        let placed = block(random.range(-0.15, 0.05), random.range(-0.2, 0.0), random.range(-0.6, 0.6));
+        let placed = block(
+            random.range(-0.15, 0.05),
+            random.range(-0.2, 0.0),
+            random.range(-0.6, 0.6),
+        );
         let mut off = 0.0_f64;
         let run = episode(&config, &knowledge, placed, None, |_, world| {
             off = off.max(world.held.map_or(0.0, |held| held.translation.vector.norm()));
         });
         outcome.successes += usize::from(run.success);
-        let lost = run.decisions().into_iter().filter(|d| d.kind == SpatialDecisionKind::GraspLost);
+        let lost = run
+            .decisions()
+            .into_iter()
+            .filter(|d| d.kind == SpatialDecisionKind::GraspLost);
         outcome.lost += lost.count();
         outcome.off = outcome.off.max(off);
         steps.push(run.acts.len());

@@ -21,7 +21,10 @@ pub fn envelope_distance(motion: &Motion) -> Option<f64> {
         let travelled = length(path);
         if travelled > 0.0 {
             area += travelled * deviation(&resample(path, POINTS));
-            covered += path.first().zip(path.last()).map_or(0.0, |(first, last)| (last - first).norm());
+            covered += path
+                .first()
+                .zip(path.last())
+                .map_or(0.0, |(first, last)| (last - first).norm());
         }
     }
     (covered > 0.0).then(|| area / covered)
@@ -43,7 +46,11 @@ pub(crate) fn resample(path: &[Vector3<f64>], count: usize) -> Vec<Vector3<f64>>
             before += part;
             at += 1;
         }
-        let fraction = if part > 0.0 { ((wanted - before) / part).clamp(0.0, 1.0) } else { 0.0 };
+        let fraction = if part > 0.0 {
+            ((wanted - before) / part).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         let next = path.get(at + 1).unwrap_or(&path[at]);
         points.push(path[at] + (next - path[at]) * fraction);
     }

@@ -60,7 +60,9 @@ impl Space {
             return None;
         }
         let count = all.len().min(REFERENCE);
-        let chosen: Vec<[f64; JOINT]> = (0..count).map(|number| joint(all[number * all.len() / count])).collect();
+        let chosen: Vec<[f64; JOINT]> = (0..count)
+            .map(|number| joint(all[number * all.len() / count]))
+            .collect();
         let (mut means, mut scales) = ([0.0; JOINT], [0.0; JOINT]);
         for at in 0..JOINT {
             let mean = chosen.iter().map(|point| point[at]).sum::<f64>() / count as f64;
@@ -85,7 +87,10 @@ impl Space {
     fn contribution(&self, chunk: &Chunk) -> Option<f64> {
         let point = standardise(&joint(chunk), &self.means, &self.scales);
         let most = NEIGHBOURS.into_iter().max()? + 1;
-        let nearest = self.joint.query(&point).nearest_n::<Chebyshev<f64>>(NonZeroUsize::new(most)?);
+        let nearest = self
+            .joint
+            .query(&point)
+            .nearest_n::<Chebyshev<f64>>(NonZeroUsize::new(most)?);
         let mut distances: Vec<f64> = nearest.execute().iter().map(|hit| hit.distance).collect();
         distances.sort_by(f64::total_cmp);
         // The chunk itself, if it is among those compared with, is not its own neighbour.

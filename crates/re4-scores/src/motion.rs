@@ -56,7 +56,10 @@ impl Motion {
     /// The motion of a Push-T demonstration. `period` is the duration of a frame, in s.
     pub fn planar(episode: &PlanarEpisode, segments: &[Segment], period: f64) -> Self {
         let frames = &episode.frames;
-        let eef: Vec<Vector3<f64>> = frames.iter().map(|frame| Vector3::new(frame.eef.x, frame.eef.y, 0.0)).collect();
+        let eef: Vec<Vector3<f64>> = frames
+            .iter()
+            .map(|frame| Vector3::new(frame.eef.x, frame.eef.y, 0.0))
+            .collect();
         let states = frames.iter().map(|frame| {
             let (sin, cos) = frame.object.theta.sin_cos();
             let (eef, object) = (frame.eef, frame.object);
@@ -68,7 +71,11 @@ impl Motion {
             [offset.x, offset.y, 0.0, 0.0, 0.0, 0.0, 0.0]
         });
         Self {
-            steps: eef.iter().zip(eef.iter().skip(1)).map(|(now, next)| (next - now).norm()).collect(),
+            steps: eef
+                .iter()
+                .zip(eef.iter().skip(1))
+                .map(|(now, next)| (next - now).norm())
+                .collect(),
             object: frames
                 .iter()
                 .map(|frame| Vector3::new(frame.object.x, frame.object.y, 0.0))
@@ -98,7 +105,15 @@ impl Motion {
 fn spatial_state(frame: &SpatialFrame) -> [f64; FEATURES] {
     let (eef, object) = (frame.eef.translation.vector, frame.object.translation.vector);
     let apart = object - eef;
-    [eef.x, eef.y, eef.z, apart.x, apart.y, apart.z, frame.finger_separation()]
+    [
+        eef.x,
+        eef.y,
+        eef.z,
+        apart.x,
+        apart.y,
+        apart.z,
+        frame.finger_separation(),
+    ]
 }
 
 fn spatial_action(frame: &SpatialFrame) -> [f64; FEATURES] {
@@ -115,7 +130,11 @@ pub(crate) fn length(path: &[Vector3<f64>]) -> f64 {
 /// It is 1 if every segment is straight, and near 0 if the end effector moves back and forth. `None` if it does not move.
 pub fn path_efficiency(motion: &Motion) -> Option<f64> {
     let ends = |path: &[Vector3<f64>]| Some((path.last()? - path.first()?).norm());
-    let straight: f64 = motion.segments.iter().filter_map(|segment| ends(motion.path(segment))).sum();
+    let straight: f64 = motion
+        .segments
+        .iter()
+        .filter_map(|segment| ends(motion.path(segment)))
+        .sum();
     let travelled = length(&motion.eef);
     (travelled > 0.0).then(|| (straight / travelled).min(1.0))
 }

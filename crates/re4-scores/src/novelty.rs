@@ -39,7 +39,11 @@ pub fn describe(motion: &Motion) -> Option<Descriptor> {
         }
         let next = (at + 1).min(motion.eef.len().checked_sub(1)?);
         let part = lengths[next] - lengths[at];
-        let fraction = if part > 0.0 { ((wanted - lengths[at]) / part).clamp(0.0, 1.0) } else { 0.0 };
+        let fraction = if part > 0.0 {
+            ((wanted - lengths[at]) / part).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         let between = |points: &[Vector3<f64>]| points[at] + (points[next] - points[at]) * fraction;
         let (eef, object) = (between(&motion.eef), between(&motion.object));
         *knot = [eef.x, eef.y, eef.z, object.x, object.y, object.z].map(|value| value as f32);
@@ -81,7 +85,9 @@ pub fn nearest(demos: &[Descriptor]) -> Vec<Option<(usize, f64)>> {
         let mut count = 16;
         loop {
             let taken = count.min(demos.len());
-            let hits = tree.query(&coarse[own]).nearest_n::<SquaredEuclidean<f64>>(NonZeroUsize::new(taken)?);
+            let hits = tree
+                .query(&coarse[own])
+                .nearest_n::<SquaredEuclidean<f64>>(NonZeroUsize::new(taken)?);
             let hits = hits.execute();
             let others = hits.iter().map(|hit| hit.item as usize).filter(|&other| other != own);
             let best = others

@@ -13,7 +13,12 @@ pub fn ranks(values: &[Option<f64>], higher_is_better: bool) -> Vec<Option<f64>>
     let mut start = 0;
     while start < order.len() {
         let value = order[start].0;
-        let end = start + order[start..].iter().take_while(|(other, _)| *other == value).count().max(1);
+        let end = start
+            + order[start..]
+                .iter()
+                .take_while(|(other, _)| *other == value)
+                .count()
+                .max(1);
         let shared = (start + 1 + end) as f64 / 2.0;
         for (_, place) in &order[start..end] {
             ranks[*place] = Some(shared);

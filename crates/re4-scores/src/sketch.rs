@@ -92,7 +92,11 @@ fn rank(rows: &mut [ScoreRow]) {
     for kind in KINDS {
         let values: Vec<_> = rows.iter().map(|row| (kind.value)(&row.scores)).collect();
         let found = values.iter().flatten().count();
-        for ((row, sum), rank) in rows.iter_mut().zip(&mut sums).zip(ranks(&values, kind.better != Better::Lower)) {
+        for ((row, sum), rank) in rows
+            .iter_mut()
+            .zip(&mut sums)
+            .zip(ranks(&values, kind.better != Better::Lower))
+        {
             *(kind.place)(&mut row.rank) = rank;
             if let (Some(rank), true) = (rank, kind.better != Better::Neither && found > 1) {
                 sum.0 += (found as f64 - rank) / (found - 1) as f64;

@@ -56,7 +56,11 @@ pub fn spectral_arc_length(motion: &Motion) -> Option<f64> {
     }
     let resolution = 1.0 / (samples as f64 * motion.period);
     let highest = (((CUT_OFF / resolution) + 1e-9) as usize).min(samples / 2);
-    let amplitudes: Vec<f64> = spectrum.iter().take(highest + 1).map(|bin| bin.norm() / whole).collect();
+    let amplitudes: Vec<f64> = spectrum
+        .iter()
+        .take(highest + 1)
+        .map(|bin| bin.norm() / whole)
+        .collect();
     let last = amplitudes.iter().rposition(|&amplitude| amplitude >= AMPLITUDE)?;
     if last == 0 {
         return None;

@@ -6,7 +6,8 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 use re4_episode::{Mode, Segment, segments};
 use re4_scores::{
-    Motion, envelope_distance, idle_share, information, log_dimensionless_jerk, path_efficiency, regrasps, spectral_arc_length,
+    Motion, envelope_distance, idle_share, information, log_dimensionless_jerk, path_efficiency, regrasps,
+    spectral_arc_length,
 };
 
 /// A motion along these positions, in one transit segment.
@@ -18,7 +19,10 @@ fn along(eef: Vec<Vector3<f64>>, period: f64) -> Motion {
         fingers: Vec::new(),
         states: vec![[0.0; 7]; frames],
         actions: vec![[0.0; 7]; frames],
-        segments: vec![Segment { mode: Mode::Transit, frames: 0..frames }],
+        segments: vec![Segment {
+            mode: Mode::Transit,
+            frames: 0..frames,
+        }],
         eef,
         period,
     }
@@ -27,7 +31,9 @@ fn along(eef: Vec<Vector3<f64>>, period: f64) -> Motion {
 /// A reach along x of one metre and one second, with the position as a function of time.
 fn reach(frames: usize, duration: f64, size: f64, at: impl Fn(f64) -> f64) -> Motion {
     let time = |frame: usize| frame as f64 / (frames - 1) as f64;
-    let eef = (0..frames).map(|frame| Vector3::new(size * at(time(frame)), 0.0, 0.0)).collect();
+    let eef = (0..frames)
+        .map(|frame| Vector3::new(size * at(time(frame)), 0.0, 0.0))
+        .collect();
     along(eef, duration / (frames - 1) as f64)
 }
 
@@ -61,14 +67,20 @@ fn the_spectral_arc_length_of_a_half_sine_follows_from_its_spectrum() {
     let value = spectral_arc_length(&reach(frames, duration, 1.0, |t| (1.0 - (PI * t).cos()) / 2.0)).unwrap();
     let amplitude = |f: f64| {
         let x = 2.0 * f * duration;
-        if (x - 1.0).abs() < 1e-6 { PI / 4.0 } else { ((PI * f * duration).cos() / (1.0 - x * x)).abs() }
+        if (x - 1.0).abs() < 1e-6 {
+            PI / 4.0
+        } else {
+            ((PI * f * duration).cos() / (1.0 - x * x)).abs()
+        }
     };
     // The amplitude is at least 5 % last on a side lobe; both are sampled finely.
     let step = 1e-4;
     let samples: Vec<f64> = (0..=100_000).map(|at| amplitude(f64::from(at) * step)).collect();
     let last = samples.iter().rposition(|&value| value >= 0.05).unwrap();
     let width = 1.0 / last as f64;
-    let known: f64 = -(0..last).map(|at| width.hypot(samples[at + 1] - samples[at])).sum::<f64>();
+    let known: f64 = -(0..last)
+        .map(|at| width.hypot(samples[at + 1] - samples[at]))
+        .sum::<f64>();
     assert!((value - known).abs() < 0.01, "{value}, known {known}");
 }
 
@@ -100,7 +112,13 @@ fn path_efficiency_is_one_on_a_line_and_two_over_pi_on_a_half_circle() {
 /// A path with a corner is straight in parts if the corner is at a change of the mode.
 #[test]
 fn path_efficiency_and_envelope_are_by_segment() {
-    let corner = |at: usize| if at <= 20 { Vector3::new(at as f64, 0.0, 0.0) } else { Vector3::new(20.0, at as f64 - 20.0, 0.0) };
+    let corner = |at: usize| {
+        if at <= 20 {
+            Vector3::new(at as f64, 0.0, 0.0)
+        } else {
+            Vector3::new(20.0, at as f64 - 20.0, 0.0)
+        }
+    };
     let mut motion = along((0..41).map(corner).collect(), 0.05);
     let whole = (path_efficiency(&motion).unwrap(), envelope_distance(&motion).unwrap());
     motion.segments = segments(&[[Mode::Transit; 20].as_slice(), &[Mode::Transfer; 21]].concat());
@@ -131,12 +149,16 @@ fn the_envelope_distance_of_known_paths() {
 
 #[test]
 fn idle_steps_are_those_without_motion_of_arm_and_fingers() {
-    let mut eef: Vec<_> = (0..=40).map(|at| Vector3::new(f64::from(at) * 0.01, 0.0, 0.0)).collect();
+    let mut eef: Vec<_> = (0..=40)
+        .map(|at| Vector3::new(f64::from(at) * 0.01, 0.0, 0.0))
+        .collect();
     eef.extend(vec![*eef.last().unwrap(); 60]);
     let mut motion = along(eef, 0.05);
     assert_eq!(idle_share(&motion), Some(0.6));
     // The fingers move in 10 of these steps.
-    motion.fingers = (0..100).map(|step| if (50..60).contains(&step) { 0.01 } else { 0.0 }).collect();
+    motion.fingers = (0..100)
+        .map(|step| if (50..60).contains(&step) { 0.01 } else { 0.0 })
+        .collect();
     assert_eq!(idle_share(&motion), Some(0.5));
     assert_eq!(idle_share(&along(vec![Vector3::zeros(); 9], 0.05)), None);
 }
@@ -202,11 +224,22 @@ fn brute(demos: &[&[[[f32; 7]; 2]]]) -> Vec<f64> {
         let moments: Vec<(f64, f64)> = (0..14)
             .map(|at| {
                 let mean = all.iter().map(|point| point[at]).sum::<f64>() / count;
-                (mean, (all.iter().map(|point| (point[at] - mean).powi(2)).sum::<f64>() / count).sqrt())
+                (
+                    mean,
+                    (all.iter().map(|point| (point[at] - mean).powi(2)).sum::<f64>() / count).sqrt(),
+                )
             })
             .collect();
-        let scale = |value: f64, (mean, deviation): (f64, f64)| if deviation > 0.0 { (value - mean) / deviation } else { 0.0 };
-        all.iter().map(|point| std::array::from_fn(|at| scale(point[at], moments[at]))).collect()
+        let scale = |value: f64, (mean, deviation): (f64, f64)| {
+            if deviation > 0.0 {
+                (value - mean) / deviation
+            } else {
+                0.0
+            }
+        };
+        all.iter()
+            .map(|point| std::array::from_fn(|at| scale(point[at], moments[at])))
+            .collect()
     };
     let apart = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     // psi(n) = -gamma + 1 + 1/2 + ... + 1/(n-1)
@@ -218,7 +251,9 @@ fn brute(demos: &[&[[[f32; 7]; 2]]]) -> Vec<f64> {
         let of = |k: usize| {
             let radius = joint[k - 1];
             let nearer = |part: std::ops::Range<usize>| {
-                others().filter(|&other| apart(&scaled[own][part.clone()], &scaled[other][part.clone()]) < radius).count()
+                others()
+                    .filter(|&other| apart(&scaled[own][part.clone()], &scaled[other][part.clone()]) < radius)
+                    .count()
             };
             psi(k) + psi(scaled.len()) - psi(nearer(0..7) + 1) - psi(nearer(7..14) + 1)
         };
@@ -241,7 +276,10 @@ fn the_information_is_that_of_the_definition() {
     let chunks: Vec<[[f32; 7]; 2]> = (0..300)
         .map(|_| {
             let state: [f32; 7] = std::array::from_fn(|_| random() as f32);
-            [state, std::array::from_fn(|at| state[at] * state[0] + 0.1 * random() as f32)]
+            [
+                state,
+                std::array::from_fn(|at| state[at] * state[0] + 0.1 * random() as f32),
+            ]
         })
         .collect();
     let demos: Vec<&[[[f32; 7]; 2]]> = chunks.chunks(17).collect();
@@ -257,11 +295,16 @@ fn demonstrations_whose_actions_follow_from_the_state_have_more_information() {
         (0..40)
             .map(|_| {
                 let state: [f32; 7] = std::array::from_fn(|at| if at < 3 { random() as f32 } else { 0.0 });
-                [state, std::array::from_fn(|at| state[at] + (noise * (random() - 0.5)) as f32)]
+                [
+                    state,
+                    std::array::from_fn(|at| state[at] + (noise * (random() - 0.5)) as f32),
+                ]
             })
             .collect()
     };
-    let demos: Vec<Vec<[[f32; 7]; 2]>> = (0..20).map(|number| demo(if number < 10 { 0.02 } else { 1.0 })).collect();
+    let demos: Vec<Vec<[[f32; 7]; 2]>> = (0..20)
+        .map(|number| demo(if number < 10 { 0.02 } else { 1.0 }))
+        .collect();
     let slices: Vec<&[[[f32; 7]; 2]]> = demos.iter().map(Vec::as_slice).collect();
     let values: Vec<f64> = information(&slices).into_iter().map(Option::unwrap).collect();
     let worst_good = values[..10].iter().copied().fold(f64::INFINITY, f64::min);

@@ -13,7 +13,10 @@ fn motion(points: &[[f64; 3]]) -> Motion {
         fingers: Vec::new(),
         states: eef.iter().map(|at| [at.x, at.y, at.z, 0.0, 0.0, 0.0, 0.0]).collect(),
         actions: vec![[0.1; 7]; eef.len()],
-        segments: vec![Segment { mode: Mode::Transit, frames: 0..eef.len() }],
+        segments: vec![Segment {
+            mode: Mode::Transit,
+            frames: 0..eef.len(),
+        }],
         eef,
         period: 0.1,
     }
@@ -23,12 +26,19 @@ fn motion(points: &[[f64; 3]]) -> Motion {
 fn line(angle: f64, frames: usize) -> Motion {
     let (sin, cos) = f64::sin_cos(angle);
     let at = |frame: usize| frame as f64 / (frames - 1) as f64;
-    motion(&(0..frames).map(|frame| [cos * at(frame), sin * at(frame), 0.0]).collect::<Vec<_>>())
+    motion(
+        &(0..frames)
+            .map(|frame| [cos * at(frame), sin * at(frame), 0.0])
+            .collect::<Vec<_>>(),
+    )
 }
 
 #[test]
 fn novelty_does_not_depend_on_the_pace() {
-    let demos: Vec<_> = [line(0.0, 30), line(0.0, 90), line(1.0, 30)].iter().map(|m| describe(m).unwrap()).collect();
+    let demos: Vec<_> = [line(0.0, 30), line(0.0, 90), line(1.0, 30)]
+        .iter()
+        .map(|m| describe(m).unwrap())
+        .collect();
     let found = nearest(&demos);
     let (twin, apart) = found[0].unwrap();
     assert_eq!(twin, 1);
@@ -45,14 +55,20 @@ fn novelty_does_not_depend_on_the_pace() {
 fn equal_values_share_ranks_and_missing_values_have_none() {
     let values = [Some(3.0), None, Some(1.0), Some(3.0), Some(2.0)];
     assert_eq!(ranks(&values, true), [Some(1.5), None, Some(4.0), Some(1.5), Some(3.0)]);
-    assert_eq!(ranks(&values, false), [Some(3.5), None, Some(1.0), Some(3.5), Some(2.0)]);
+    assert_eq!(
+        ranks(&values, false),
+        [Some(3.5), None, Some(1.0), Some(3.5), Some(2.0)]
+    );
 }
 
 #[test]
 fn the_correlation_is_spearmans() {
     let column = |values: [f64; 5]| values.map(Some).to_vec();
     let ordered = column([1.0, 2.0, 3.0, 4.0, 5.0]);
-    assert_eq!(correlation(&ordered, &column([10.0, 20.0, 30.0, 40.0, 500.0])), Some(1.0));
+    assert_eq!(
+        correlation(&ordered, &column([10.0, 20.0, 30.0, 40.0, 500.0])),
+        Some(1.0)
+    );
     assert_eq!(correlation(&ordered, &column([5.0, 4.0, 3.0, 2.0, 1.0])), Some(-1.0));
     // 1 - 6 * (1 + 1 + 0 + 1 + 1) / (5 * 24)
     let swapped = correlation(&ordered, &column([2.0, 1.0, 3.0, 5.0, 4.0])).unwrap();
@@ -63,7 +79,9 @@ fn the_correlation_is_spearmans() {
 
 #[test]
 fn the_better_demonstration_ranks_first_in_everything_that_differs() {
-    let waiting: Vec<[f64; 3]> = (0..120).map(|at| [f64::from(at.min(29)) / 29.0, if at % 2 == 0 { 0.0 } else { 0.01 }, 0.0]).collect();
+    let waiting: Vec<[f64; 3]> = (0..120)
+        .map(|at| [f64::from(at.min(29)) / 29.0, if at % 2 == 0 { 0.0 } else { 0.01 }, 0.0])
+        .collect();
     let sketches = [Sketch::of(4, &line(0.0, 30)), Sketch::of(9, &motion(&waiting))];
     let rows = score(&sketches);
     assert_eq!(rows.iter().map(|row| row.episode).collect::<Vec<_>>(), [4, 9]);
@@ -71,7 +89,13 @@ fn the_better_demonstration_ranks_first_in_everything_that_differs() {
         let kind = KINDS.iter().find(|kind| kind.column == column).unwrap();
         rows.iter().map(|row| (kind.rank)(&row.rank)).collect::<Vec<_>>()
     };
-    for column in ["duration", "path_efficiency", "log_dimensionless_jerk", "spectral_arc_length", "envelope_distance"] {
+    for column in [
+        "duration",
+        "path_efficiency",
+        "log_dimensionless_jerk",
+        "spectral_arc_length",
+        "envelope_distance",
+    ] {
         assert_eq!(ranked(column), [Some(1.0), Some(2.0)], "{column}");
     }
     assert_eq!(ranked("regrasps"), [None, None]);
@@ -84,7 +108,10 @@ fn the_better_demonstration_ranks_first_in_everything_that_differs() {
 fn a_demonstration_of_one_frame_has_no_scores_but_its_duration() {
     let rows = score(&[Sketch::of(0, &motion(&[[0.0; 3]])), Sketch::of(1, &line(0.0, 9))]);
     let known = KINDS.iter().filter(|kind| (kind.value)(&rows[0].scores).is_some());
-    assert_eq!(known.map(|kind| kind.column).collect::<Vec<_>>(), ["duration", "novelty"]);
+    assert_eq!(
+        known.map(|kind| kind.column).collect::<Vec<_>>(),
+        ["duration", "novelty"]
+    );
     assert!(score(&[]).is_empty());
 }
 

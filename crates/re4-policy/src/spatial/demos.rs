@@ -110,14 +110,18 @@ impl SpatialKnowledge {
     #[must_use]
     pub fn with_recorded_frames(mut self, recorded: BTreeMap<u32, Vec<u32>>) -> Self {
         self.recorded = recorded;
-        self.recorded.retain(|_, numbers| !(0..).zip(&*numbers).all(|(place, number)| place == *number));
+        self.recorded
+            .retain(|_, numbers| !(0..).zip(&*numbers).all(|(place, number)| place == *number));
         self
     }
 
     /// Determines the frames that are replayed at the robot's pace.
     #[must_use]
     pub fn with_pace(mut self, retime: &RetimeConfig) -> Self {
-        let free = self.demos.iter().map(|(demo, frames)| (demo, free_frames(frames, retime)));
+        let free = self
+            .demos
+            .iter()
+            .map(|(demo, frames)| (demo, free_frames(frames, retime)));
         self.free = free.collect();
         self
     }

@@ -14,8 +14,8 @@ use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConf
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
-use crate::spatial::retime::Pace;
 use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
+use crate::spatial::retime::Pace;
 
 /// Command that opens the gripper.
 const OPEN: f64 = -1.0;

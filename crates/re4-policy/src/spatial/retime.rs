@@ -25,7 +25,10 @@ pub(crate) fn free_frames(frames: &[SpatialDemoFrame], retime: &RetimeConfig) ->
     let mut free = vec![true; frames.len()];
     let closes = |frame: &SpatialDemoFrame| frame.gripper > 0.0;
     for (now, pair) in frames.windows(2).enumerate() {
-        if pair[0].mode == Mode::Transit && pair[1].mode == Mode::Transit && reach(&pair[0].object, &pair[1].object) > PUSHED {
+        if pair[0].mode == Mode::Transit
+            && pair[1].mode == Mode::Transit
+            && reach(&pair[0].object, &pair[1].object) > PUSHED
+        {
             free[now..=now + 1].fill(false);
         }
         if closes(&pair[0]) == closes(&pair[1]) {
@@ -109,14 +112,22 @@ impl Pace<'_> {
         let ahead = self.ahead(frame);
         let goal = carry.goal(&self.frames[ahead].eef);
         if ahead > frame {
-            return Paced { frame, goal, arrived: true };
+            return Paced {
+                frame,
+                goal,
+                arrived: true,
+            };
         }
         let (distance, angle) = pose_distance(&goal, eef);
         if distance <= self.replan.tolerance_translation && angle <= self.replan.tolerance_rotation {
             // The recorded action leads into the contact.
             return self.recorded(frame, carry);
         }
-        Paced { frame, goal, arrived: false }
+        Paced {
+            frame,
+            goal,
+            arrived: false,
+        }
     }
 
     fn recorded(&self, frame: usize, carry: &Carry) -> Paced {
@@ -145,7 +156,10 @@ impl Pace<'_> {
         let distance = |at: usize| self.part(&carry.goal(&self.frames[at].eef), eef);
         let candidates = (next..=self.ahead(next)).map(|at| (at, distance(at)));
         candidates
-            .fold((next, f64::INFINITY), |best, found| if found.1 <= best.1 { found } else { best })
+            .fold(
+                (next, f64::INFINITY),
+                |best, found| if found.1 <= best.1 { found } else { best },
+            )
             .0
     }
 }
@@ -179,11 +193,19 @@ mod tests {
         assert_eq!(contact, (90..=110).collect::<Vec<_>>());
         let replan = SpatialPolicyConfig::re4().replan;
         let (pace, carry) = (
-            Pace { frames: &frames, free: &free, replan: &replan },
+            Pace {
+                frames: &frames,
+                free: &free,
+                replan: &replan,
+            },
             without_reframe_spatial(&frames[0].eef),
         );
         for at in 90..=110 {
-            let recorded = Paced { frame: at, goal: frames[at].goal, arrived: true };
+            let recorded = Paced {
+                frame: at,
+                goal: frames[at].goal,
+                arrived: true,
+            };
             assert_eq!(pace.next(at, &carry, &frames[at].eef), recorded);
         }
     }
@@ -193,11 +215,19 @@ mod tests {
         let frames = line(200, 0.002, 100);
         let free = free_frames(&frames, &RetimeConfig { margin: 0.0201 });
         let replan = SpatialPolicyConfig::re4().replan;
-        let pace = Pace { frames: &frames, free: &free, replan: &replan };
+        let pace = Pace {
+            frames: &frames,
+            free: &free,
+            replan: &replan,
+        };
         let carry = without_reframe_spatial(&frames[0].eef);
         let goal_at = |next: usize, eef: usize| {
             let next = pace.next(next, &carry, &frames[eef].eef);
-            (next.frame, (next.goal.translation.x / 0.002).round() as usize, next.arrived)
+            (
+                next.frame,
+                (next.goal.translation.x / 0.002).round() as usize,
+                next.arrived,
+            )
         };
         assert_eq!(goal_at(0, 0), (0, 25, true));
         // The end effector is ahead of the next frame.
@@ -217,12 +247,25 @@ mod tests {
         let frames = line(400, 0.002, 399);
         let free = free_frames(&frames, &RetimeConfig { margin: 0.0 });
         let replan = SpatialPolicyConfig::re4().replan;
-        let pace = Pace { frames: &frames, free: &free, replan: &replan };
+        let pace = Pace {
+            frames: &frames,
+            free: &free,
+            replan: &replan,
+        };
         // 15 steps of 0.306 * 0.05 m, 2 mm per frame.
         assert_eq!(pace.end(0, 16), (15.0 * 0.306 * 0.05 / 0.002) as usize);
-        let recorded = Pace { frames: &frames, free: &[], replan: &replan };
+        let recorded = Pace {
+            frames: &frames,
+            free: &[],
+            replan: &replan,
+        };
         assert_eq!(recorded.end(0, 16), 15);
         assert_eq!(recorded.end(390, 16), 399);
-        assert_eq!(recorded.next(7, &without_reframe_spatial(&frames[0].eef), &frames[3].eef).frame, 7);
+        assert_eq!(
+            recorded
+                .next(7, &without_reframe_spatial(&frames[0].eef), &frames[3].eef)
+                .frame,
+            7
+        );
     }
 }

@@ -129,13 +129,18 @@ fn shots(episodes: &Artifact, findings: &[FindingRow]) -> Result<Vec<Shot>> {
     if !episodes.has::<ImageRow>() {
         return Ok(Vec::new());
     }
-    let mut order: Vec<usize> = (0..findings.len()).filter(|&at| !findings[at].frames.is_empty()).collect();
+    let mut order: Vec<usize> = (0..findings.len())
+        .filter(|&at| !findings[at].frames.is_empty())
+        .collect();
     order.sort_by_key(|&at| std::cmp::Reverse(findings[at].severity));
     order.truncate(SHOTS);
     let mut wanted: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
     for at in order {
         let FindingRow { episode, frames, .. } = &findings[at];
-        wanted.entry((*episode, frames.start.midpoint(frames.end - 1))).or_default().push(at);
+        wanted
+            .entry((*episode, frames.start.midpoint(frames.end - 1)))
+            .or_default()
+            .push(at);
     }
     let (mut camera, mut shots) = (None, Vec::new());
     for row in episodes.table(ImageRow::table())?.stream::<ImageRow>()? {
@@ -339,7 +344,11 @@ const SPATIAL: Shown = Shown {
             "Action, rotation",
             "of the limit",
             1.0,
-            &[(true, "delta_rx", "x"), (true, "delta_ry", "y"), (true, "delta_rz", "z")],
+            &[
+                (true, "delta_rx", "x"),
+                (true, "delta_ry", "y"),
+                (true, "delta_rz", "z"),
+            ],
         ),
         ("Action, gripper", "", 1.0, &[(true, "gripper", "")]),
         ("Reward", "", 1.0, &[(true, "reward", "")]),

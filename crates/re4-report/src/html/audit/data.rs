@@ -124,7 +124,9 @@ fn scores(rows: &[ScoreRow], place: impl Fn(u32) -> usize) -> Value {
     let mut overall = column("quality", "quality", Better::Higher, &|row| [row.quality, None]);
     overall["ranks"] = json!(quality_ranks);
     let kinds = KINDS.iter().map(|kind| {
-        column(kind.column, kind.title, kind.better, &|row| [(kind.value)(&row.scores), (kind.rank)(&row.rank)])
+        column(kind.column, kind.title, kind.better, &|row| {
+            [(kind.value)(&row.scores), (kind.rank)(&row.rank)]
+        })
     });
     json!({
         "demo": rows.iter().map(|row| place(row.episode)).collect::<Vec<_>>(),

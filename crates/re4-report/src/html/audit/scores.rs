@@ -33,7 +33,11 @@ pub(super) fn orders(audit: &Audit) -> Markup {
 
 /// The demonstrations that could not be used, and why.
 pub(super) fn left_out(audit: &Audit) -> Markup {
-    let found: Vec<_> = audit.findings.iter().filter(|finding| &*finding.code == "left_out").collect();
+    let found: Vec<_> = audit
+        .findings
+        .iter()
+        .filter(|finding| &*finding.code == "left_out")
+        .collect();
     let name = |episode: u32| {
         let at = audit.demos.binary_search_by_key(&episode, |demo| demo.episode);
         at.map_or("", |at| audit.demos[at].demo.as_str())
@@ -155,5 +159,8 @@ fn correlations(audit: &Audit, kinds: &[&Kind]) -> Markup {
 /// The background of a correlation: the stronger, the more colour.
 fn shade(value: f64) -> String {
     let colour = if value < 0.0 { "--error" } else { "--transfer" };
-    format!("background: color-mix(in srgb, var({colour}) {:.0}%, transparent)", 45.0 * value.abs())
+    format!(
+        "background: color-mix(in srgb, var({colour}) {:.0}%, transparent)",
+        45.0 * value.abs()
+    )
 }
