@@ -90,15 +90,21 @@ fn cut_detours(frames: &[SpatialFrame], fast: &Fast, kept: &mut [bool]) {
                 && reach(&here.object, &then.object) <= RESTING
                 && opening(here, then) <= fast.fingers
         };
-        let back = (now + 2..frames.len()).rev().find(|&then| same(&frames[then]));
+        let follows = |then: &usize| {
+            frames
+                .get(then + 1)
+                .is_some_and(|next| next.closes() == frames[*then].closes())
+                && !guarded(frames, *then)
+        };
+        let back = (now + 2..frames.len())
+            .rev()
+            .find(|then| same(&frames[*then]) && follows(then));
         let back = back.filter(|&then| {
-            let between = &frames[now + 1..then];
-            let left = between.iter().any(|frame| {
-                frame.closes() != frames[now].closes() || reach(&frames[now].eef, &frame.eef) > 2.0 * fast.arm
-            });
-            left && !guarded(frames, now)
-                && then + 1 < frames.len()
-                && frames[then + 1].closes() == frames[then].closes()
+            let mut between = frames[now + 1..then].iter();
+            !guarded(frames, now)
+                && between.any(|frame| {
+                    frame.closes() != frames[now].closes() || reach(&frames[now].eef, &frame.eef) > 2.0 * fast.arm
+                })
         });
         now = match back {
             Some(then) => {
