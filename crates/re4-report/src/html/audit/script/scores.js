@@ -11,6 +11,10 @@ const scoreColumn = remember((name) => {
 
 const scoreTip = (demo) => `${nameOf(demo)}: ${["score-x", "score-y"].map((axis) => scoreColumn(byId(axis).value)).map(({ title, valueOf }) => `${title} ${figure(valueOf(demo))}`).join(", ")}`;
 
+const sayScores = (demo) => {
+  byId("score-words").textContent = SCORE_ROW.has(demo) ? scoreTip(demo) : "";
+};
+
 const drawScores = () => {
   const host = byId("score-plot");
   const width = host === null ? 0 : Math.floor(host.clientWidth);
@@ -34,15 +38,17 @@ const drawScores = () => {
     root.append(svg("line", { class: "grid", x1: frame.left, x2: width - frame.right, y1: y(tick), y2: y(tick) }), svg("text", { class: "tick", x: frame.left - 6, y: y(tick) + 4, "text-anchor": "end" }, figure(tick)));
   }
   root.append(svg("text", { class: "axis", x: width - frame.right, y: frame.height - 8, "text-anchor": "end" }, columns[0].title), svg("text", { class: "axis", x: frame.left, y: frame.top - 1 }, columns[1].title));
-  // The selected demonstration is drawn last, on top.
+  // The selected demonstration comes last, on top.
   const order = [...demos].sort((a, b) => Number(a === selection.demo) - Number(b === selection.demo) || a - b);
   for (const demo of order) {
-    const mark = svg("circle", { class: `score${keep.has(demo) ? "" : " dropped"}${demo === selection.demo ? " chosen" : ""}`, "data-demo": nameOf(demo), cx: near(x(columns[0].valueOf(demo))), cy: near(y(columns[1].valueOf(demo))), r: demo === selection.demo ? 6 : 4 }, svg("title", {}, scoreTip(demo)));
+    const mark = svg("circle", { class: `score${keep.has(demo) ? "" : " dropped"}${demo === selection.demo ? " chosen" : ""}`, "data-demo": nameOf(demo), cx: near(x(columns[0].valueOf(demo))), cy: near(y(columns[1].valueOf(demo))), r: demo === selection.demo ? 6 : 4 });
     mark.addEventListener("click", () => selectDemo(demo));
+    mark.addEventListener("pointerenter", () => sayScores(demo));
+    mark.addEventListener("pointerleave", () => sayScores(selection.demo));
     root.append(mark);
   }
   host.replaceChildren(root);
-  byId("score-words").textContent = selection.demo >= 0 && SCORE_ROW.has(selection.demo) ? scoreTip(selection.demo) : "";
+  sayScores(selection.demo);
 };
 
 const showScores = () => {
