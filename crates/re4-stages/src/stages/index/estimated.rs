@@ -10,7 +10,7 @@ use re4_fault::ensure;
 use re4_pose::{PoseRow, SpatialEstimate, by_mode};
 use re4_segment::{SegmentConfig, segment_spatial};
 
-use super::spatial::{FramesOf, check_names, frames_of};
+use super::spatial::{check_names, last_ends};
 use crate::pipeline::Estimates;
 use crate::runner::Runner;
 
@@ -108,19 +108,19 @@ fn without_object(mut demo: SpatialDemo, config: &SegmentConfig) -> Result<Spati
 }
 
 impl Runner {
-    /// The frames of the findings of these checks, by demonstration, without reading recorded object poses.
+    /// The end frame of the last finding of these checks, by demonstration, without reading recorded object poses.
     pub(super) fn left_out_by_fingers(
         &self,
         episodes: &Artifact,
         modes: &Artifact,
         checks: &[String],
-    ) -> Result<FramesOf> {
+    ) -> Result<BTreeMap<u32, u32>> {
         let known = CHECKS.iter().filter(|check| check.applies_to(false));
         check_names(checks, known.map(|check| check.code))?;
         let findings = self.findings(episodes, modes, &|demo| without_object(demo, &self.pipeline.segment))?;
-        let found = findings
-            .into_iter()
-            .map(|finding| (finding.code, finding.episode, finding.frames));
-        Ok(frames_of(checks, found))
+        let ends = findings
+            .iter()
+            .map(|finding| (finding.code, finding.episode, finding.frames.end));
+        Ok(last_ends(checks, ends))
     }
 }

@@ -1,7 +1,6 @@
 //! The stage `index` for robosuite tasks.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 use anyhow::Result;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, SixAxis, Stage};
@@ -61,7 +60,7 @@ impl Runner {
             recipe = recipe.input("poses", poses.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let left_out = match (&audit, poses) {
+            let ends = match (&audit, poses) {
                 (Some(audit), _) => left_out(&audit.artifact, leave_out)?,
                 (None, Some(_)) if !leave_out.is_empty() => {
                     self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)?
@@ -77,8 +76,8 @@ impl Runner {
                 if let Some(estimated) = &estimated {
                     estimated.put_into(&mut demo, estimates)?;
                 }
+                let end = ends.get(&demo.number).copied().unwrap_or(0) as usize;
                 let kept = kept(&demo.episode.frames, trim);
-                let end = end(left_out.get(&demo.number).map_or(&[], Vec::as_slice), &kept);
                 let count = kept.iter().filter(|kept| **kept).count();
                 demos += 1;
                 frames += count as u64;
@@ -108,42 +107,30 @@ impl Runner {
     }
 }
 
-/// Frames of findings, by demonstration.
-pub(super) type FramesOf = BTreeMap<u32, Vec<Range<u32>>>;
-
-/// The frames of the findings of these checks, by demonstration, from an `audit` artifact.
-fn left_out(audit: &Artifact, checks: &[String]) -> Result<FramesOf> {
+/// The end frame of the last finding of these checks, by demonstration, from an `audit` artifact.
+fn left_out(audit: &Artifact, checks: &[String]) -> Result<BTreeMap<u32, u32>> {
     let known: Vec<CheckRow> = audit.read()?;
     check_names(checks, known.iter().map(|check| &*check.code))?;
     let findings: Vec<FindingRow> = audit.read()?;
-    let found = findings
-        .iter()
-        .map(|finding| (&*finding.code, finding.episode, finding.frames.clone()));
-    Ok(frames_of(checks, found))
+    Ok(last_ends(
+        checks,
+        findings
+            .iter()
+            .map(|finding| (&*finding.code, finding.episode, finding.frames.end)),
+    ))
 }
 
-/// The frames of the findings of these checks, by demonstration. Findings are given as (code, demonstration, frames).
-pub(super) fn frames_of<'a>(checks: &[String], findings: impl Iterator<Item = (&'a str, u32, Range<u32>)>) -> FramesOf {
-    let mut frames_of = FramesOf::new();
-    for (_, episode, frames) in findings.filter(|(code, ..)| checks.iter().any(|check| check == code)) {
-        frames_of.entry(episode).or_default().push(frames);
+/// The end frame of the last finding of these checks, by demonstration. Findings are given as (code, demonstration, end frame).
+pub(super) fn last_ends<'a>(
+    checks: &[String],
+    findings: impl Iterator<Item = (&'a str, u32, u32)>,
+) -> BTreeMap<u32, u32> {
+    let mut last = BTreeMap::new();
+    for (_, episode, end) in findings.filter(|(code, ..)| checks.iter().any(|check| check == code)) {
+        let entry = last.entry(episode).or_insert(0);
+        *entry = end.max(*entry);
     }
-    frames_of
-}
-
-/// The frame from which on a demonstration is retrieved: the end of its last finding. A finding of which every frame is cut does not
-/// count, because nothing of it is replayed.
-fn end(findings: &[Range<u32>], kept: &[bool]) -> usize {
-    let remains = |frames: &&Range<u32>| {
-        let of = kept.get(frames.start as usize..frames.end as usize);
-        of.is_none_or(|of| of.is_empty() || of.contains(&true))
-    };
-    findings
-        .iter()
-        .filter(remains)
-        .map(|frames| frames.end as usize)
-        .max()
-        .unwrap_or(0)
+    last
 }
 
 /// Returns an error for a name that no check has.
@@ -173,27 +160,4 @@ fn rows(demo: &SpatialDemo, end: usize) -> impl Iterator<Item = IndexRow<Spatial
         },
         retrievable: Some(number >= end),
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_finding_that_is_cut_completely_leaves_nothing_out() {
-        let (first, second) = (2..5, 7..9);
-        let findings = [first, second];
-        let mut kept = vec![true; 12];
-        assert_eq!(end(&findings, &kept), 9);
-        kept[7..9].fill(false);
-        assert_eq!(end(&findings, &kept), 5);
-        kept[2..4].fill(false);
-        assert_eq!(end(&findings, &kept), 5);
-        kept[4] = false;
-        assert_eq!(end(&findings, &kept), 0);
-        // Findings of frames that the demonstration does not have count, as do empty ones.
-        assert_eq!(end(&[10..15], &kept), 15);
-        assert_eq!(end(&[3..3], &kept), 3);
-        assert_eq!(end(&[], &kept), 0);
-    }
 }
