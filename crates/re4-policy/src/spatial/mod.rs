@@ -9,6 +9,7 @@
 //! first command (paper, section "Manipulation Modes": for Robomimic, the sign of the last command).
 
 mod bans;
+mod chunk;
 mod config;
 mod decision;
 mod demos;

@@ -10,11 +10,12 @@ use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFa
 
 use crate::LookupError;
 use crate::spatial::bans::Bans;
+use crate::spatial::chunk::Chunk;
 use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConfig, WhileHeld};
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
-use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
+use crate::spatial::reframe::{reframe_spatial, without_reframe_spatial};
 use crate::spatial::retime::Pace;
 
 /// Command that opens the gripper.
@@ -61,31 +62,6 @@ enum Activity {
     None,
     Home { taken: u32 },
     Chunk(Box<Chunk>),
-}
-
-/// A chunk in execution.
-struct Chunk {
-    demo: u32,
-    /// First frame.
-    start: usize,
-    /// Frame of the next action.
-    next: usize,
-    /// Last frame, included.
-    end: usize,
-    /// Mode of the query.
-    mode: Mode,
-    carry: Carry,
-    /// Object pose, aligned with the demonstration's by the object's symmetry, in the frame in which the object is fixed: the
-    /// world in transit, the gripper in transfer.
-    aligned: Isometry3<f64>,
-    /// Whether the transformation of the chunk is final. If not, it is measured again at every step.
-    is_final: bool,
-    /// Number of actions after which the chunk ends although frames are left, at the robot's pace. `None` if all are replayed.
-    budget: Option<u32>,
-    /// Number of steps in which the replay waited for the end effector to arrive before a contact.
-    waited: u32,
-    /// Number of steps of the bridge so far, or `None` if the bridge has ended.
-    bridge: Option<u32>,
 }
 
 /// A chunk that was replayed to its end.
@@ -331,9 +307,7 @@ impl SpatialRe4 {
                 return Ok((None, Some(self.abort_grasp(observed))));
             }
         }
-        if chunk.budget == Some(0) {
-            chunk.end = chunk.end.min(chunk.next.saturating_sub(1));
-        }
+        chunk.end_if_spent();
         if chunk.next > chunk.end && chunk.next < frames.len() && self.fingers_are_settling(observed) {
             chunk.end = chunk.next;
         }
@@ -357,10 +331,7 @@ impl SpatialRe4 {
         if action.gripper > 0.0 && self.gripper <= 0.0 {
             self.grasped_by = Some(chunk.demo);
         }
-        chunk.budget = chunk.budget.map(|left| left.saturating_sub(1));
-        let waits = !paced.arrived && chunk.waited < self.config.replan.max_steps;
-        chunk.waited += u32::from(waits);
-        chunk.next = paced.frame + usize::from(!waits);
+        chunk.advance(&paced, self.config.replan.max_steps);
         self.activity = Activity::Chunk(chunk);
         Ok((Some((action, Phase::Replay)), None))
     }
