@@ -93,7 +93,6 @@ fn the_better_demonstration_ranks_first_in_everything_that_differs() {
         "duration",
         "path_efficiency",
         "log_dimensionless_jerk",
-        "spectral_arc_length",
         "envelope_distance",
     ] {
         assert_eq!(ranked(column), [Some(1.0), Some(2.0)], "{column}");
@@ -116,9 +115,11 @@ fn a_demonstration_of_one_frame_has_no_scores_but_its_duration() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
     /// The search by tree finds what the comparison of all pairs finds.
     #[test]
-    fn the_nearest_demonstration_is_found_exactly(angles in proptest::collection::vec((0.0..3.0_f64, 8..40_usize), 2..120)) {
+    fn the_nearest_demonstration_is_found_exactly(angles in proptest::collection::vec((0.0..3.0_f64, 8..40_usize), 2..60)) {
         let demos: Vec<_> = angles.iter().map(|(angle, frames)| describe(&line(*angle, *frames)).unwrap()).collect();
         let found = nearest(&demos);
         for (own, found) in found.iter().enumerate() {
