@@ -11,6 +11,7 @@ use re4_ingest::{
 use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
+use re4_scores::ScoreRow;
 use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 
 use crate::stages::{
@@ -43,6 +44,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             CheckRow::table(),
             AuditedEpisodeRow::table(),
             GraspRow::table(),
+            ScoreRow::table(),
         ],
         Stage::Index => vec![
             IndexRow::<PlanarState>::table(),
@@ -193,6 +195,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 59);
+        assert_eq!(names.len(), 60);
     }
 }

@@ -11,11 +11,13 @@ use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFa
 
 use crate::LookupError;
 use crate::spatial::bans::Bans;
+use crate::spatial::chunk::Chunk;
 use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConfig, WhileHeld};
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
-use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
+use crate::spatial::reframe::{reframe_spatial, without_reframe_spatial};
+use crate::spatial::retime::Pace;
 
 /// Command that opens the gripper.
 const OPEN: f64 = -1.0;
@@ -62,27 +64,6 @@ enum Activity {
     None,
     Home { taken: u32 },
     Chunk(Box<Chunk>),
-}
-
-/// A chunk in execution.
-struct Chunk {
-    demo: u32,
-    /// First frame.
-    start: usize,
-    /// Frame of the next action.
-    next: usize,
-    /// Last frame, included.
-    end: usize,
-    /// Mode of the query.
-    mode: Mode,
-    carry: Carry,
-    /// Object pose, aligned with the demonstration's by the object's symmetry, in the frame in which the object is fixed: the
-    /// world in transit, the gripper in transfer.
-    aligned: Isometry3<f64>,
-    /// Whether the transformation of the chunk is final. If not, it is measured again at every step.
-    is_final: bool,
-    /// Number of steps of the bridge so far, or `None` if the bridge has ended.
-    bridge: Option<u32>,
 }
 
 /// A chunk that was replayed to its end.
@@ -354,6 +335,7 @@ impl SpatialRe4 {
                 return Ok((None, Some(self.abort_grasp(observed))));
             }
         }
+        chunk.end_if_spent();
         if chunk.next > chunk.end && chunk.next < frames.len() && self.fingers_are_settling(observed) {
             chunk.end = chunk.next;
         }
@@ -364,15 +346,20 @@ impl SpatialRe4 {
             });
             return Ok((None, None));
         }
-        let frame = &frames[chunk.next];
+        let pace = Pace {
+            frames,
+            free: knowledge.free(chunk.demo),
+            replan: &self.config.replan,
+        };
+        let paced = pace.next(chunk.next, &chunk.carry, &observed.eef);
         let action = ArmAction {
-            goal: chunk.carry.goal(&frame.goal),
-            gripper: frame.gripper,
+            goal: paced.goal,
+            gripper: frames[paced.frame].gripper,
         };
         if action.gripper > 0.0 && self.gripper <= 0.0 {
             self.grasped_by = Some(chunk.demo);
         }
-        chunk.next += 1;
+        chunk.advance(&paced, self.config.replan.max_steps);
         self.activity = Activity::Chunk(chunk);
         Ok((Some((action, Phase::Replay)), None))
     }
@@ -572,8 +559,14 @@ impl SpatialRe4 {
             without_reframe_spatial(&first.eef)
         };
         let horizon = self.config.replay.horizon.max(1) as usize;
-        let mut end = start.saturating_add(horizon - 1).min(frames.len() - 1);
-        if self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release) {
+        let pace = Pace {
+            frames,
+            free: knowledge.free(demo),
+            replan: &self.config.replan,
+        };
+        let mut end = pace.end(start, horizon);
+        let finishes = self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release);
+        if finishes {
             end = frames.len() - 1;
         }
         let bridge = self.config.replan.enabled && !self.is_at(&observed.eef, &carry.near);
@@ -581,6 +574,8 @@ impl SpatialRe4 {
             demo,
             start,
             next: start,
+            budget: (self.config.replay.retime.is_some() && !finishes).then_some(self.config.replay.horizon.max(1)),
+            waited: 0,
             end,
             mode: observed.mode,
             carry,
@@ -590,8 +585,8 @@ impl SpatialRe4 {
         }));
         let choice = SpatialChoice {
             demo,
-            demo_frame: start as u32,
-            demo_end: end as u32,
+            demo_frame: knowledge.recorded_frame(demo, start),
+            demo_end: knowledge.recorded_frame(demo, end),
             d_q: distances.d_q,
             d_o: distances.d_o,
             d_e: distances.d_e,

@@ -360,6 +360,7 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
         ensure!(index.leave_out.is_empty(), "index.leave_out applies only to robosuite tasks"; "remove it");
+        ensure!(index.trim.is_empty(), "index.trim applies only to robosuite tasks"; "remove it");
     }
     match (&pipeline.pose, pipeline.variant) {
         (Some(pose), Some(variant)) => check_variant(pipeline, pose, variant),

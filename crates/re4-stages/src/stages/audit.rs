@@ -1,5 +1,6 @@
 //! The stage `audit`: makes `audit`, which lists findings, from `episodes` and `modes`.
 
+mod scores;
 mod summary;
 
 use std::collections::BTreeMap;
@@ -14,6 +15,7 @@ use re4_audit::{
 };
 use re4_episode::{Mode, Segment};
 use re4_ingest::LeftOut;
+use re4_scores::Sketch;
 use re4_segment::segment_planar;
 use re4_sim::{GOAL, coverage};
 
@@ -24,7 +26,7 @@ use crate::inputs::sources::left_out;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 5;
+const CODE_VERSION: u32 = 6;
 
 /// A demonstration's row in table `episodes`, and its segments.
 struct Listed {
@@ -62,6 +64,7 @@ struct Audited {
     findings: Vec<Finding>,
     grasps: Vec<GraspRow>,
     contacts: Option<Contacts>,
+    sketches: Vec<Sketch>,
 }
 
 impl Audited {
@@ -146,11 +149,13 @@ impl Runner {
         };
         let mut observations = Vec::with_capacity(demos);
         let mut listed = Vec::with_capacity(demos);
+        let mut sketches = Vec::with_capacity(demos);
         for batch in in_batches(read()?) {
             self.interrupt.check("audit")?;
             let demos = batch?;
             observations.par_extend(demos.par_iter().map(|demo| observe_spatial(demo, &limits)));
             listed.extend(demos.iter().map(list_spatial));
+            sketches.par_extend(demos.par_iter().map(|demo| self.sketch_spatial(demo)));
             bar.inc(demos.len() as u64);
         }
         let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, false, gripper.closed);
@@ -176,6 +181,7 @@ impl Runner {
             findings,
             grasps,
             contacts: None,
+            sketches,
         })
     }
 
@@ -212,6 +218,7 @@ impl Runner {
             thresholds,
             contacts: Some(contacts.flatten().collect()),
             listed: demos.iter().map(list_planar).collect(),
+            sketches: demos.par_iter().map(|demo| self.sketch_planar(demo)).collect(),
             findings,
             grasps: Vec::new(),
         })
@@ -298,6 +305,7 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
         }
     }))?;
     writer.write_rows(audited.listed.iter().map(|listed| listed.row.clone()))?;
+    writer.write_rows(re4_scores::score(&audited.sketches))?;
     if audited.contacts.is_none() {
         writer.write_rows(audited.grasps.iter().cloned())?;
     }
