@@ -499,6 +499,7 @@ fn inspect_shows_every_artifact() {
         "grasps",
         "labels",
         "left_out",
+        "left_out_frames",
         "models",
         "pose_errors",
         "states",

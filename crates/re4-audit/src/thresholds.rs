@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
-use crate::checks::{Basis, CHECKS, Check, ENOUGH};
+use crate::actions::ActionFit;
+use crate::checks::{Basis, Check, ENOUGH};
 use crate::config::AuditConfig;
-use re4_stats::{median, outer_fence, robust_deviation};
+use crate::copies::{Path, nearest_distances};
+use crate::list::CHECKS;
+use re4_stats::{median, quantile, robust_deviation, sorted};
 
 /// The origin of a threshold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +65,34 @@ pub struct Observation {
     pub recording: [u8; 32],
     /// Hash of all actions.
     pub actions: [u8; 32],
+    /// How the end effector follows its actions; `None` for Push-T, and if it hardly moves.
+    pub response: Option<ActionFit>,
+    /// The path of end effector and object.
+    pub path: Path,
+}
+
+/// How the end effectors of most demonstrations follow their actions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Usual {
+    /// Median lag in frames.
+    pub lag: f64,
+    /// Median gain in m per step.
+    pub gain: f64,
+}
+
+impl Usual {
+    /// The medians over the demonstrations whose actions explain most of the motion. `None` if these are too few, or fewer than
+    /// half of all.
+    fn of(observations: &[Observation]) -> Option<Self> {
+        let all = observations.iter().filter_map(|observation| observation.response);
+        let explained: Vec<ActionFit> = all.clone().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
+        if explained.len() < ENOUGH || 2 * explained.len() <= all.count() {
+            return None;
+        }
+        let of = |value: fn(&ActionFit) -> f64| median(&explained.iter().map(value).collect::<Vec<_>>());
+        let (lag, gain) = (of(|fit| fit.lag)?, of(|fit| fit.gain)?);
+        (gain > 0.0).then_some(Self { lag, gain })
+    }
 }
 
 /// The thresholds of all checks that apply to a dataset, and the dataset's statistics that checks compare with.
@@ -77,6 +108,12 @@ pub struct Thresholds {
     pub(crate) length_deviation: f64,
     /// Whether any demonstration has a reward above 0.
     pub(crate) rewards: bool,
+    /// How the end effectors of most demonstrations follow their actions; `None` if that is not clear.
+    pub(crate) usual_response: Option<Usual>,
+    /// Medians of the largest steps (m) and rotations (rad) of the end effector in one step.
+    pub(crate) top_speed: (f64, f64),
+    /// Whether absolute actions were recorded.
+    pub(crate) recorded_goals: bool,
 }
 
 impl Thresholds {
@@ -94,6 +131,16 @@ impl Thresholds {
                 values.entry("early_release").or_default().push(distance);
             }
         }
+        let usual_response = Usual::of(observations);
+        if let Some(usual) = usual_response {
+            let fits = observations.iter().filter_map(|observation| observation.response);
+            for (code, value) in fits.flat_map(|fit| fit.values(&usual)) {
+                values.entry(code).or_default().push(value);
+            }
+        }
+        values.insert("near_duplicate", nearest_distances(observations));
+        let middle = |code| values.get(code).and_then(|values| median(values)).unwrap_or_default();
+        let top_speed = (middle("discontinuity_eef"), middle("discontinuity_rotation"));
         let lengths: Vec<f64> = observations.iter().map(|o| f64::from(o.frames)).collect();
         let by_code = CHECKS
             .iter()
@@ -113,7 +160,17 @@ impl Thresholds {
             usual_length: median(&lengths).unwrap_or(0.0),
             length_deviation: robust_deviation(&lengths).unwrap_or(0.0),
             rewards: observations.iter().any(|o| o.rewarded == Some(true)),
+            usual_response,
+            top_speed,
+            recorded_goals: true,
         }
+    }
+
+    /// States whether absolute actions were recorded. Otherwise, seams of goals are not reported.
+    #[must_use]
+    pub fn with_recorded_goals(mut self, recorded: bool) -> Self {
+        self.recorded_goals = recorded;
+        self
     }
 
     /// Whether the dataset is planar.
@@ -169,6 +226,12 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
         derivation,
         made: true,
     };
+    let not_made = |why: String| Threshold {
+        value: None,
+        origin: Origin::Data,
+        derivation: format!("not made: {why}"),
+        made: false,
+    };
     let count = observed.len();
     let pick = |spatial, flat| if planar { flat } else { spatial };
     match check.basis {
@@ -190,27 +253,67 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
         },
         Basis::Fence {
             of,
+            whisker,
             spatial,
             planar: flat,
             small,
+            most,
         } => {
             let minimum = pick(spatial, flat);
-            match outer_fence(observed).filter(|_| count >= ENOUGH) {
-                Some(fence) if fence > minimum => data(fence, format!("Q3 + 3 (Q3 - Q1) of {count} {of}")),
+            let rule = format!("Q3 + {whisker} (Q3 - Q1)");
+            match fence(observed, whisker).filter(|_| count >= ENOUGH) {
+                Some(fence) if fence > most => not_made(format!(
+                    "{rule} of {count} {of} is {fence:.4}, which no fault would exceed"
+                )),
+                Some(fence) if fence > minimum => data(fence, format!("{rule} of {count} {of}")),
                 Some(fence) => constant(
                     Some(minimum),
-                    format!("the minimum; Q3 + 3 (Q3 - Q1) of {count} {of} is only {fence:.4}"),
+                    format!("the minimum; {rule} of {count} {of} is only {fence:.4}"),
                 ),
                 None if small => constant(
                     Some(minimum),
                     format!("the minimum; {count} {of} are too few to derive a threshold"),
                 ),
-                None => Threshold {
-                    value: None,
-                    origin: Origin::Data,
-                    derivation: format!("not made: {count} {of} are too few to derive a threshold"),
-                    made: false,
-                },
+                None => not_made(format!("{count} {of} are too few to derive a threshold")),
+            }
+        }
+        Basis::Share { of, minimum } => {
+            let angles: Vec<f64> = observed
+                .iter()
+                .map(|share| share.clamp(0.0, 1.0).sqrt().asin())
+                .collect();
+            let rule = "Q3 + 1.5 (Q3 - Q1), on the scale of arcsin(sqrt(share)),";
+            match fence(&angles, 1.5).filter(|_| count >= ENOUGH) {
+                Some(fence) if fence >= std::f64::consts::FRAC_PI_2 => not_made(format!(
+                    "{rule} of {count} {of} is above 1, so that no value exceeds it"
+                )),
+                Some(fence) if fence.sin().powi(2) > minimum => {
+                    data(fence.sin().powi(2), format!("{rule} of {count} {of}"))
+                }
+                Some(_) => constant(Some(minimum), format!("the minimum; {rule} of {count} {of} is less")),
+                None => constant(
+                    Some(minimum),
+                    format!("the minimum; {count} {of} are too few to derive a threshold"),
+                ),
+            }
+        }
+        Basis::Nearest { spatial, planar: flat } => {
+            let minimum = pick(spatial, flat);
+            let values = sorted(observed.iter().copied());
+            let quartiles = quantile(&values, 0.25).zip(quantile(&values, 0.75));
+            let of = "distances to the nearest other demonstration";
+            match quartiles.filter(|_| count >= ENOUGH) {
+                Some((low, high)) if low * (low / high).powi(3) > minimum => {
+                    data(low * (low / high).powi(3), format!("Q1 (Q1 / Q3)^3 of {count} {of}"))
+                }
+                Some(_) => constant(
+                    Some(minimum),
+                    format!("the minimum; Q1 (Q1 / Q3)^3 of {count} {of} is less"),
+                ),
+                None => constant(
+                    Some(minimum),
+                    format!("the minimum; {count} {of} are too few to derive a threshold"),
+                ),
             }
         }
         Basis::Multiple {
@@ -242,4 +345,11 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
             }
         }
     }
+}
+
+/// Q3 + `whisker` (Q3 - Q1). `None` if there are no values or one is NaN.
+fn fence(values: &[f64], whisker: f64) -> Option<f64> {
+    let values = sorted(values.iter().copied());
+    let (low, high) = (quantile(&values, 0.25)?, quantile(&values, 0.75)?);
+    Some(high + whisker * (high - low))
 }

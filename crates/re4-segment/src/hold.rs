@@ -66,13 +66,19 @@ fn holds(frames: &[SpatialFrame], gripper: &GripperConfig) -> Vec<Range<usize>> 
     let mut frame = 0;
     while let Some(&grip) = separation.get(frame) {
         let earliest = found.last().map_or(0, |hold| hold.end);
-        let recent = separation.get(frame.saturating_sub(CLOSING)..=frame).unwrap_or_default();
+        let recent = separation
+            .get(frame.saturating_sub(CLOSING)..=frame)
+            .unwrap_or_default();
         let closed_here = recent.iter().any(|before| *before > grip + LET_GO);
         if !(closes(frame) && grip > gripper.closed && closed_here && rests(&separation, frame, gripper.still)) {
             frame += 1;
             continue;
         }
-        let touches = |frame: usize| separation.get(frame).is_some_and(|s| (0.0..SQUEEZE).contains(&(s - grip)));
+        let touches = |frame: usize| {
+            separation
+                .get(frame)
+                .is_some_and(|s| (0.0..SQUEEZE).contains(&(s - grip)))
+        };
         let start = (earliest..frame)
             .rev()
             .take_while(|&before| closes(before) && touches(before))

@@ -1,0 +1,255 @@
+//! The relation between the actions of a demonstration and the motion of its end effector: lag, gain and sign.
+
+use nalgebra::Vector3;
+use re4_episode::SpatialFrame;
+
+use crate::common::Sink;
+use crate::runs::runs;
+use crate::thresholds::Usual;
+
+/// Lags, in frames, at which steps are compared with actions: from -LAGS to LAGS.
+const LAGS: isize = 4;
+
+/// Minimum number of steps, and minimum length of their path in m, from which lag and gain are measured.
+const MINIMUM_STEPS: usize = 20;
+const MINIMUM_PATH: f64 = 0.05;
+
+/// A step longer than this multiple of the demonstration's 90th percentile is a jump, not a response to an action.
+const JUMP: f64 = 2.0;
+
+/// Minimum fraction of the motion along an axis for judging its sign.
+const MINIMUM_PART: f64 = 0.05;
+
+/// How the end effector's steps follow the translation of the actions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActionFit {
+    /// Lag of the largest correlation in frames, between whole frames by a parabola; 0 if step t follows action t at once.
+    pub lag: f64,
+    /// Metres of motion per step for an action of 1, at the whole lag of the largest correlation.
+    pub gain: f64,
+    /// Correlation at that lag, with its sign.
+    pub correlation: f64,
+    /// Correlation along each axis at lag 1, to which responses of a step or less contribute; `None` for an axis without motion.
+    axes: [Option<f64>; 3],
+}
+
+impl ActionFit {
+    /// Measures the response of a demonstration; `None` if the end effector hardly moves. Steps that are exactly 0 or much longer
+    /// than the others do not count: they are faults of the recorded poses.
+    pub(crate) fn of(frames: &[SpatialFrame]) -> Option<Self> {
+        let steps: Vec<Vector3<f64>> = frames
+            .iter()
+            .zip(frames.iter().skip(1))
+            .map(|(now, next)| next.eef.translation.vector - now.eef.translation.vector)
+            .collect();
+        let lengths = re4_stats::sorted(steps.iter().map(Vector3::norm));
+        let longest = JUMP * re4_stats::quantile(&lengths, 0.9)?;
+        let counted = |step: &Vector3<f64>| step.norm() > 0.0 && step.norm() <= longest;
+        let path: f64 = steps.iter().filter(|step| counted(step)).map(Vector3::norm).sum();
+        if steps.iter().filter(|step| counted(step)).count() < MINIMUM_STEPS || path < MINIMUM_PATH {
+            return None;
+        }
+        let sums: Vec<Sums> = (-LAGS..=LAGS)
+            .map(|lag| {
+                let mut sums = Sums::default();
+                for (place, step) in steps.iter().enumerate().filter(|(_, step)| counted(step)) {
+                    let action = place.checked_add_signed(-lag).and_then(|place| frames.get(place));
+                    if let Some(action) = action {
+                        sums.add(step, &Vector3::from_column_slice(&action.delta[..3]));
+                    }
+                }
+                sums
+            })
+            .collect();
+        let correlations: Vec<f64> = sums.iter().map(Sums::correlation).collect();
+        let best = (0..sums.len()).max_by(|&a, &b| correlations[a].abs().total_cmp(&correlations[b].abs()))?;
+        let at = |place: Option<usize>| place.and_then(|place| correlations.get(place)).map(|c| c.abs());
+        let part = match (at(best.checked_sub(1)), at(Some(best)), at(Some(best + 1))) {
+            (Some(before), Some(here), Some(after)) if before - 2.0 * here + after < 0.0 => {
+                0.5 * (before - after) / (before - 2.0 * here + after)
+            }
+            _ => 0.0,
+        };
+        let one = sums.get((LAGS + 1) as usize)?;
+        Some(Self {
+            lag: best as f64 - LAGS as f64 + part,
+            gain: sums[best].gain(),
+            correlation: correlations[best],
+            axes: std::array::from_fn(|axis| one.axis(axis)),
+        })
+    }
+
+    /// The values from which thresholds are derived.
+    pub(crate) fn values(&self, usual: &Usual) -> [(&'static str, f64); 3] {
+        [
+            ("actions_shifted", (self.lag - usual.lag).abs()),
+            ("actions_scaled", self.scale(usual).ln().abs()),
+            ("actions_unrelated", 1.0 - self.correlation.powi(2)),
+        ]
+    }
+
+    /// Ratio of the gain to the usual one, without the sign.
+    fn scale(&self, usual: &Usual) -> f64 {
+        (self.gain / usual.gain).abs().max(1e-9)
+    }
+}
+
+/// Sums over the pairs of steps and actions at one lag, axis by axis.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    steps: [f64; 3],
+    actions: [f64; 3],
+    both: [f64; 3],
+}
+
+impl Sums {
+    fn add(&mut self, step: &Vector3<f64>, action: &Vector3<f64>) {
+        for axis in 0..3 {
+            self.steps[axis] += step[axis] * step[axis];
+            self.actions[axis] += action[axis] * action[axis];
+            self.both[axis] += step[axis] * action[axis];
+        }
+    }
+
+    fn correlation(&self) -> f64 {
+        let total = |sums: &[f64; 3]| sums.iter().sum::<f64>();
+        let scale = (total(&self.steps) * total(&self.actions)).sqrt();
+        if scale > 0.0 { total(&self.both) / scale } else { 0.0 }
+    }
+
+    fn gain(&self) -> f64 {
+        let actions: f64 = self.actions.iter().sum();
+        if actions > 0.0 {
+            self.both.iter().sum::<f64>() / actions
+        } else {
+            0.0
+        }
+    }
+
+    fn axis(&self, axis: usize) -> Option<f64> {
+        let all: f64 = self.steps.iter().sum();
+        let scale = (self.steps[axis] * self.actions[axis]).sqrt();
+        (self.steps[axis] > MINIMUM_PART * all && scale > 0.0).then(|| self.both[axis] / scale)
+    }
+}
+
+/// The fraction of the fingers' travel that goes against the last gripper command; `None` if the fingers travel by less than a
+/// quarter of their opening.
+pub(crate) fn against_command(frames: &[SpatialFrame]) -> Option<f64> {
+    let (mut against, mut all) = (0.0, 0.0);
+    for (before, (now, next)) in frames.iter().zip(frames.iter().skip(1).zip(frames.iter().skip(2))) {
+        let change = next.finger_separation() - now.finger_separation();
+        // The first step after a change of the command still has the old direction.
+        if before.closes() != now.closes() {
+            continue;
+        }
+        all += change.abs();
+        if (change > 0.0) == now.closes() {
+            against += change.abs();
+        }
+    }
+    (all >= 0.02).then(|| against / all)
+}
+
+/// Compares the actions with the motion, and both with those of the other demonstrations.
+pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[SpatialFrame], sink: &mut Sink<'_>) {
+    let all = 0..frames.len();
+    let mut reversed = false;
+    if let (Some(fit), Some(usual)) = (fit, sink.thresholds.usual_response) {
+        let opposite = fit.correlation < 0.0;
+        // If the rows are reversed, the step that followed an action by `lag` precedes it by one more.
+        let backwards = (fit.lag + 1.0 + usual.lag).abs() < (fit.lag - usual.lag).abs();
+        reversed = opposite && backwards && -fit.correlation > sink.thresholds.over("reversed");
+        let axis = (0..3).find(|&axis| fit.axes[axis].is_some_and(|c| -c > sink.thresholds.over("actions_opposed")));
+        if reversed {
+            sink.add(
+                "reversed",
+                all.clone(),
+                Some(-fit.correlation),
+                format!(
+                    "the motion precedes the actions by {:.1} frames and is opposite to them",
+                    -fit.lag
+                ),
+            );
+        } else if opposite {
+            sink.exceeding("actions_opposed", all.clone(), -fit.correlation, |_| {
+                "the end effector moves opposite to its actions".to_owned()
+            });
+        } else if let Some(axis) = axis {
+            sink.exceeding(
+                "actions_opposed",
+                all.clone(),
+                -fit.axes[axis].unwrap_or_default(),
+                |_| {
+                    format!(
+                        "along {}, the end effector moves opposite to its actions",
+                        ["x", "y", "z"][axis]
+                    )
+                },
+            );
+        } else {
+            let [(shifted, lag), (scaled, scale), (unrelated, unexplained)] = fit.values(&usual);
+            sink.exceeding(unrelated, all.clone(), unexplained, |value| {
+                format!(
+                    "the actions do not explain {:.0} % of the end effector's motion",
+                    1e2 * value
+                )
+            });
+            sink.exceeding(shifted, all.clone(), lag, |_| {
+                format!(
+                    "the end effector follows its actions after {:.2} frames; the median of the demonstrations is {:.2}",
+                    fit.lag, usual.lag
+                )
+            });
+            sink.exceeding(scaled, all.clone(), scale, |_| {
+                format!(
+                    "the end effector moves {:.2} times as far for the same action as in the other demonstrations",
+                    fit.scale(&usual)
+                )
+            });
+        }
+    }
+    if let Some(against) = against_command(frames).filter(|_| !reversed) {
+        sink.exceeding("gripper_reversed", all, against, |value| {
+            format!(
+                "{:.0} % of the fingers' travel goes against the gripper command",
+                1e2 * value
+            )
+        });
+    }
+}
+
+/// The longest stretches in which at least `least` controls of the arm are at their limits, as a fraction of all frames.
+pub(crate) fn saturated_fraction(frames: &[SpatialFrame], least: usize) -> f64 {
+    let at_limit = |frame: &&SpatialFrame| frame.delta.iter().filter(|part| part.abs() >= LIMIT).count() >= least;
+    frames.iter().filter(at_limit).count() as f64 / frames.len().max(1) as f64
+}
+
+/// A control of at least this magnitude is at its limit, which is 1. The margin allows for rounding in the recording.
+const LIMIT: f64 = 1.0 - 1e-9;
+
+/// An arm that is commanded to translate and to rotate by less than this fraction of its limits is idle: it moves by less than
+/// 0.7 mm per step.
+const IDLE: f64 = 0.05;
+
+pub(crate) fn is_idle(frame: &SpatialFrame) -> bool {
+    let [x, y, z, rx, ry, rz] = frame.delta;
+    Vector3::new(x, y, z).norm() < IDLE && Vector3::new(rx, ry, rz).norm() < IDLE
+}
+
+/// Reports idle stretches and controls at their limits.
+pub(crate) fn check_commands(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
+    for run in runs(frames.iter().map(is_idle), 1) {
+        sink.exceeding("idle", run.clone(), run.len() as f64, |value| {
+            format!("hardly any arm action in {value} consecutive frames")
+        });
+    }
+    for (code, least, what) in [
+        ("saturated", 1, "a control is at its limit"),
+        ("saturated_together", 2, "two or more controls are at their limits"),
+    ] {
+        sink.exceeding(code, 0..frames.len(), saturated_fraction(frames, least), |value| {
+            format!("{what} in {:.0} % of the frames", 1e2 * value)
+        });
+    }
+}
