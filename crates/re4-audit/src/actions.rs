@@ -23,11 +23,13 @@ const MINIMUM_PART: f64 = 0.05;
 /// How the end effector's steps follow the translation of the actions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ActionFit {
-    /// Lag of the largest correlation in frames, between whole frames by a parabola; 0 if step t follows action t at once.
-    pub lag: f64,
-    /// Metres of motion per step for an action of 1, at the whole lag of the largest correlation.
+    /// Lag of the largest correlation between changes of steps and changes of actions in frames, between whole frames by a
+    /// parabola; 0 if step t follows action t at once. Changes have a sharper correlation than the smooth steps themselves. `None`
+    /// if the actions explain less than a quarter of the changes.
+    pub lag: Option<f64>,
+    /// Metres of motion per step for an action of 1, at the whole lag of the largest correlation of steps and actions.
     pub gain: f64,
-    /// Correlation at that lag, with its sign.
+    /// Correlation of steps and actions at that lag, with its sign.
     pub correlation: f64,
     /// Correlation along each axis at lag 1, to which responses of a step or less contribute; `None` for an axis without motion.
     axes: [Option<f64>; 3],
@@ -49,48 +51,86 @@ impl ActionFit {
         if steps.iter().filter(|step| counted(step)).count() < MINIMUM_STEPS || path < MINIMUM_PATH {
             return None;
         }
-        let sums: Vec<Sums> = (-LAGS..=LAGS)
-            .map(|lag| {
-                let mut sums = Sums::default();
-                for (place, step) in steps.iter().enumerate().filter(|(_, step)| counted(step)) {
-                    let action = place.checked_add_signed(-lag).and_then(|place| frames.get(place));
-                    if let Some(action) = action {
-                        sums.add(step, &Vector3::from_column_slice(&action.delta[..3]));
-                    }
-                }
-                sums
-            })
+        let actions: Vec<Vector3<f64>> = frames
+            .iter()
+            .map(|frame| Vector3::from_column_slice(&frame.delta[..3]))
             .collect();
-        let correlations: Vec<f64> = sums.iter().map(Sums::correlation).collect();
-        let best = (0..sums.len()).max_by(|&a, &b| correlations[a].abs().total_cmp(&correlations[b].abs()))?;
-        let at = |place: Option<usize>| place.and_then(|place| correlations.get(place)).map(|c| c.abs());
-        let part = match (at(best.checked_sub(1)), at(Some(best)), at(Some(best + 1))) {
-            (Some(before), Some(here), Some(after)) if before - 2.0 * here + after < 0.0 => {
-                0.5 * (before - after) / (before - 2.0 * here + after)
-            }
-            _ => 0.0,
-        };
-        let one = sums.get((LAGS + 1) as usize)?;
+        let valid: Vec<bool> = steps.iter().map(counted).collect();
+        let plain = Lagged::of(&steps, &actions, &valid);
+        let changes = |values: &[Vector3<f64>]| values.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>();
+        let both_valid: Vec<bool> = valid.windows(2).map(|pair| pair[0] && pair[1]).collect();
+        let changed = Lagged::of(&changes(&steps), &changes(&actions), &both_valid);
+        let (best, sharpest) = (plain.best()?, changed.best()?);
+        let one = plain.0.get((LAGS + 1) as usize)?;
         Some(Self {
-            lag: best as f64 - LAGS as f64 + part,
-            gain: sums[best].gain(),
-            correlation: correlations[best],
+            lag: (changed.correlation(sharpest).powi(2) >= EXPLAINED).then(|| changed.fine(sharpest)),
+            gain: plain.0[best].gain(),
+            correlation: plain.correlation(best),
             axes: std::array::from_fn(|axis| one.axis(axis)),
         })
     }
 
     /// The values from which thresholds are derived.
-    pub(crate) fn values(&self, usual: &Usual) -> [(&'static str, f64); 3] {
-        [
-            ("actions_shifted", (self.lag - usual.lag).abs()),
+    pub(crate) fn values(&self, usual: &Usual) -> impl Iterator<Item = (&'static str, f64)> + use<> {
+        let shift = self.lag.map(|lag| ("actions_shifted", (lag - usual.lag).abs()));
+        let others = [
             ("actions_scaled", self.scale(usual).ln().abs()),
             ("actions_unrelated", 1.0 - self.correlation.powi(2)),
-        ]
+        ];
+        shift.into_iter().chain(others)
     }
 
     /// Ratio of the gain to the usual one, without the sign.
     fn scale(&self, usual: &Usual) -> f64 {
         (self.gain / usual.gain).abs().max(1e-9)
+    }
+}
+
+/// Minimum fraction of the changes that the actions explain for measuring the lag.
+const EXPLAINED: f64 = 0.25;
+
+/// The sums at every lag from -LAGS to LAGS.
+struct Lagged(Vec<Sums>);
+
+impl Lagged {
+    fn of(steps: &[Vector3<f64>], actions: &[Vector3<f64>], valid: &[bool]) -> Self {
+        let at = |lag: isize| {
+            let mut sums = Sums::default();
+            for (place, (step, _)) in steps.iter().zip(valid).enumerate().filter(|(_, (_, valid))| **valid) {
+                let action = place.checked_add_signed(-lag).and_then(|place| actions.get(place));
+                if let Some(action) = action {
+                    sums.add(step, action);
+                }
+            }
+            sums
+        };
+        Self((-LAGS..=LAGS).map(at).collect())
+    }
+
+    fn correlation(&self, place: usize) -> f64 {
+        self.0.get(place).map_or(0.0, Sums::correlation)
+    }
+
+    /// Place of the largest correlation of either sign.
+    fn best(&self) -> Option<usize> {
+        (0..self.0.len()).max_by(|&a, &b| self.correlation(a).abs().total_cmp(&self.correlation(b).abs()))
+    }
+
+    /// The lag of the maximum of a parabola through the largest correlation and its neighbours.
+    fn fine(&self, best: usize) -> f64 {
+        let at = |place: usize| self.correlation(place).abs();
+        let part = if best == 0 || best + 1 == self.0.len() {
+            0.0
+        } else {
+            let (before, here, after) = (at(best - 1), at(best), at(best + 1));
+            let curvature = before - 2.0 * here + after;
+            if curvature < 0.0 {
+                0.5 * (before - after) / curvature
+            } else {
+                0.0
+            }
+        };
+        best as f64 - LAGS as f64 + part
     }
 }
 
@@ -156,11 +196,11 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
     let all = 0..frames.len();
     let mut reversed = false;
     if let (Some(fit), Some(usual)) = (fit, sink.thresholds.usual_response) {
-        let opposite = fit.correlation < 0.0;
         // If the rows are reversed, the step that followed an action by `lag` precedes it by one more.
-        let backwards = (fit.lag + 1.0 + usual.lag).abs() < (fit.lag - usual.lag).abs();
-        reversed = opposite && backwards && -fit.correlation > sink.thresholds.over("reversed");
-        let axis = (0..3).find(|&axis| fit.axes[axis].is_some_and(|c| -c > sink.thresholds.over("actions_opposed")));
+        let backwards = |lag: f64| (lag + 1.0 + usual.lag).abs() < (lag - usual.lag).abs();
+        reversed = fit.lag.is_some_and(backwards) && -fit.correlation > sink.thresholds.over("reversed");
+        let opposed = |axis: &usize| fit.axes[*axis].is_some_and(|c| -c > sink.thresholds.over("actions_opposed"));
+        let axes: Vec<usize> = (0..3).filter(opposed).collect();
         if reversed {
             sink.add(
                 "reversed",
@@ -168,45 +208,35 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
                 Some(-fit.correlation),
                 format!(
                     "the motion precedes the actions by {:.1} frames and is opposite to them",
-                    -fit.lag
+                    -fit.lag.unwrap_or_default()
                 ),
             );
-        } else if opposite {
-            sink.exceeding("actions_opposed", all.clone(), -fit.correlation, |_| {
-                "the end effector moves opposite to its actions".to_owned()
-            });
-        } else if let Some(axis) = axis {
-            sink.exceeding(
+        } else if let Some(&axis) = axes.first() {
+            let names: Vec<&str> = axes.iter().map(|&axis| ["x", "y", "z"][axis]).collect();
+            sink.add(
                 "actions_opposed",
                 all.clone(),
-                -fit.axes[axis].unwrap_or_default(),
-                |_| {
-                    format!(
-                        "along {}, the end effector moves opposite to its actions",
-                        ["x", "y", "z"][axis]
-                    )
-                },
+                fit.axes[axis].map(|correlation| -correlation),
+                format!(
+                    "along {}, the end effector moves opposite to its actions",
+                    names.join(" and ")
+                ),
             );
         } else {
-            let [(shifted, lag), (scaled, scale), (unrelated, unexplained)] = fit.values(&usual);
-            sink.exceeding(unrelated, all.clone(), unexplained, |value| {
-                format!(
-                    "the actions do not explain {:.0} % of the end effector's motion",
-                    1e2 * value
-                )
-            });
-            sink.exceeding(shifted, all.clone(), lag, |_| {
-                format!(
-                    "the end effector follows its actions after {:.2} frames; the median of the demonstrations is {:.2}",
-                    fit.lag, usual.lag
-                )
-            });
-            sink.exceeding(scaled, all.clone(), scale, |_| {
-                format!(
-                    "the end effector moves {:.2} times as far for the same action as in the other demonstrations",
-                    fit.scale(&usual)
-                )
-            });
+            for (code, value) in fit.values(&usual) {
+                sink.exceeding(code, all.clone(), value, |value| match code {
+                    "actions_shifted" => format!(
+                        "the end effector follows changes of its actions after {:.2} frames; the median of the demonstrations is {:.2}",
+                        fit.lag.unwrap_or_default(),
+                        usual.lag
+                    ),
+                    "actions_scaled" => format!(
+                        "the end effector moves {:.2} times as far for the same action as in the other demonstrations",
+                        fit.scale(&usual)
+                    ),
+                    _ => format!("the actions do not explain {:.0} % of the end effector's motion", 1e2 * value),
+                });
+            }
         }
     }
     if let Some(against) = against_command(frames).filter(|_| !reversed) {
@@ -219,7 +249,7 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
     }
 }
 
-/// The longest stretches in which at least `least` controls of the arm are at their limits, as a fraction of all frames.
+/// The fraction of the frames in which at least `least` controls of the arm are at their limits.
 pub(crate) fn saturated_fraction(frames: &[SpatialFrame], least: usize) -> f64 {
     let at_limit = |frame: &&SpatialFrame| frame.delta.iter().filter(|part| part.abs() >= LIMIT).count() >= least;
     frames.iter().filter(at_limit).count() as f64 / frames.len().max(1) as f64

@@ -77,7 +77,7 @@ pub enum Basis {
         minimum: f64,
     },
     /// The lower outer fence of the distances to the nearest other demonstration, on a logarithmic scale: Q1 (Q1 / Q3)^3, but at
-    /// least a minimum.
+    /// most Q1 / 2 and at least a minimum.
     Nearest {
         /// Minimum threshold in robosuite's tasks.
         spatial: f64,
@@ -163,7 +163,7 @@ impl Check {
                 "Q3 + 1.5 (Q3 - Q1) of the {of}, on the scale of arcsin(sqrt(share)), but at least {minimum}; with fewer than {ENOUGH} values, that minimum; skipped if the fence is above 1"
             ),
             Basis::Nearest { spatial, planar } => format!(
-                "Q1 (Q1 / Q3)^3 of the distances of up to {SAMPLE} demonstrations to their nearest other one, but at least {}; with fewer than {ENOUGH} demonstrations, that minimum",
+                "Q1 (Q1 / Q3)^3, but at most Q1 / 2, of the distances of up to {SAMPLE} demonstrations to their nearest other one, but at least {}; with fewer than {ENOUGH} demonstrations, that minimum",
                 both(spatial, planar)
             ),
             Basis::Multiple {

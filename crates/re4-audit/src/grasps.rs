@@ -207,15 +207,17 @@ fn judge_one(
 /// An object this close, in m, to the place where it is released can be in contact with it.
 const AT_PLACE: f64 = 0.03;
 
-/// The frames from the last one before the drift exceeds `most` at which it is at most `least`, to the first one at which it exceeds
-/// `most`.
+/// The frames from the one after which the drift stays above `least` until it reaches `most`, to the first one at which it does.
 fn slip(drifts: &[(usize, f64)], least: f64, most: f64) -> Range<usize> {
     let reached = drifts
         .iter()
         .position(|(_, drift)| *drift >= most)
         .unwrap_or(drifts.len());
     let before = drifts.get(..reached).unwrap_or_default();
-    let start = before.iter().rposition(|(_, drift)| *drift <= least).unwrap_or(0);
+    let start = before
+        .iter()
+        .rposition(|(_, drift)| *drift <= least)
+        .map_or(0, |last| last + 1);
     let frame = |place: usize| {
         drifts
             .get(place)

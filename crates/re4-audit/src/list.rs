@@ -43,7 +43,7 @@ pub const CHECKS: &[Check] = &[
     },
     Check {
         meaning: "The end effector follows its actions later or earlier than in the other demonstrations, by about one step or more: actions and observations were recorded with another alignment. Shift the actions, or leave the demonstration out.",
-        measure: "Difference between the lag at which the end effector's steps correlate best with the actions, and the median lag",
+        measure: "Difference between the lag at which changes of the end effector's steps correlate best with changes of the actions, and the median lag",
         unit: "frames",
         basis: Basis::Fence {
             of: "differences (one per demonstration)",

@@ -89,8 +89,9 @@ impl Usual {
         if explained.len() < ENOUGH || 2 * explained.len() <= all.count() {
             return None;
         }
-        let of = |value: fn(&ActionFit) -> f64| median(&explained.iter().map(value).collect::<Vec<_>>());
-        let (lag, gain) = (of(|fit| fit.lag)?, of(|fit| fit.gain)?);
+        let lags: Vec<f64> = explained.iter().filter_map(|fit| fit.lag).collect();
+        let gains: Vec<f64> = explained.iter().map(|fit| fit.gain).collect();
+        let (lag, gain) = (median(&lags)?, median(&gains)?);
         (gain > 0.0).then_some(Self { lag, gain })
     }
 }
@@ -302,14 +303,12 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
             let values = sorted(observed.iter().copied());
             let quartiles = quantile(&values, 0.25).zip(quantile(&values, 0.75));
             let of = "distances to the nearest other demonstration";
-            match quartiles.filter(|_| count >= ENOUGH) {
-                Some((low, high)) if low * (low / high).powi(3) > minimum => {
-                    data(low * (low / high).powi(3), format!("Q1 (Q1 / Q3)^3 of {count} {of}"))
-                }
-                Some(_) => constant(
-                    Some(minimum),
-                    format!("the minimum; Q1 (Q1 / Q3)^3 of {count} {of} is less"),
-                ),
+            let rule = "Q1 (Q1 / Q3)^3, but at most Q1 / 2,";
+            // Scenes on a regular grid have equal distances, which are no copies.
+            let fence = quartiles.map(|(low, high)| low * (low / high).powi(3).min(0.5));
+            match fence.filter(|_| count >= ENOUGH) {
+                Some(fence) if fence > minimum => data(fence, format!("{rule} of {count} {of}")),
+                Some(_) => constant(Some(minimum), format!("the minimum; {rule} of {count} {of} is less")),
                 None => constant(
                     Some(minimum),
                     format!("the minimum; {count} {of} are too few to derive a threshold"),
