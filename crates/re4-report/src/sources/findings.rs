@@ -123,18 +123,13 @@ impl Findings {
             let outcomes: Vec<String> = outcomes.iter().map(|(name, count)| format!("{count} {name}")).collect();
             write!(text, "\n  grasps    {}", outcomes.join(", "))?;
         }
-        let rules = summary["rules"].as_object();
-        for (rule, row) in rules
-            .into_iter()
-            .flatten()
+        let rules = summary["rules"].as_object().into_iter().flatten();
+        let agreements: Vec<String> = rules
             .filter(|(_, row)| row["configured"] == false)
-        {
-            write!(
-                text,
-                "\n  by {rule:<15} {:>5.1} % of the frames of a demonstration have the same mode on average, at least {:.1} % in every demonstration",
-                1e2 * row["agreement"].as_f64().unwrap_or_default(),
-                1e2 * row["least"].as_f64().unwrap_or_default()
-            )?;
+            .map(|(rule, row)| format!("{:.1} % by {rule}", 1e2 * row["agreement"].as_f64().unwrap_or_default()))
+            .collect();
+        if !agreements.is_empty() {
+            write!(text, "\n  frames with the same mode by other rules: {}", agreements.join(", "))?;
         }
         if let Some(overlap) = summary["contacts"]["jaccard"].as_f64() {
             write!(
