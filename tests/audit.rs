@@ -275,7 +275,13 @@ fn planted_faults_are_found_and_clean_demonstrations_have_none() {
     let names: BTreeMap<String, Vec<String>> =
         serde_json::from_slice(&fs::read(repository().join("benches/audit_truth.json")).unwrap()).unwrap();
     let place = Place::empty();
-    let answer = on(&place, &data, "audit", "lift-audit.toml", &format!("--json --quiet {PLANTED}"));
+    let answer = on(
+        &place,
+        &data,
+        "audit",
+        "lift-audit.toml",
+        &format!("--json --quiet {PLANTED}"),
+    );
     let answer = answer.done().json();
     let findings = answer["findings"].as_array().unwrap();
     let frame = |value: &Value, key: &str| value[key].as_i64().unwrap();
@@ -290,7 +296,9 @@ fn planted_faults_are_found_and_clean_demonstrations_have_none() {
                     && frame(finding, "end_frame") > frame(fault, "first") - 6
             };
             // The finding of a copy can be on either twin.
-            let twin = findings.iter().any(|finding| fits(finding) && finding["other_demo"] == demo.as_str());
+            let twin = findings
+                .iter()
+                .any(|finding| fits(finding) && finding["other_demo"] == demo.as_str());
             all += 1;
             if !found().any(|finding| fits(finding) && touches(finding)) && !twin {
                 missed.push(format!("{demo}: {fault}"));
@@ -302,11 +310,20 @@ fn planted_faults_are_found_and_clean_demonstrations_have_none() {
             assert!(severe.is_empty(), "{demo} is clean: {severe:?}");
         }
     }
-    assert!(all == 50 && 20 * missed.len() <= all, "{all} planted, missed: {missed:#?}");
+    assert!(
+        all == 50 && 20 * missed.len() <= all,
+        "{all} planted, missed: {missed:#?}"
+    );
     // Every demonstration is audited, also those that contradict the conventions of the file.
     assert_eq!(answer["summary"]["episodes"], 64);
     let episodes = place.artifact(Stage::Audit);
-    assert!(episodes.read::<re4_audit::AuditedEpisodeRow>().unwrap().iter().all(|row| row.frames > 0));
+    assert!(
+        episodes
+            .read::<re4_audit::AuditedEpisodeRow>()
+            .unwrap()
+            .iter()
+            .all(|row| row.frames > 0)
+    );
 }
 
 /// The F1 score of transfer against the frames in which both fingers touch the object.

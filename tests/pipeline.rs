@@ -502,6 +502,7 @@ fn inspect_shows_every_artifact() {
         "left_out_frames",
         "models",
         "pose_errors",
+        "rule_agreement",
         "states",
         "training",
         // Written only by rollouts with other goals or disturbances.

@@ -223,7 +223,10 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
                 ),
             );
         } else {
-            for (code, value) in fit.values(&usual) {
+            let unrelated = 1.0 - fit.correlation.powi(2) > sink.thresholds.over("actions_unrelated");
+            // Lag and gain mean nothing if the actions do not explain the motion.
+            let meaningful = |code: &str| !unrelated || code == "actions_unrelated";
+            for (code, value) in fit.values(&usual).filter(|(code, _)| meaningful(code)) {
                 sink.exceeding(code, all.clone(), value, |value| match code {
                     "actions_shifted" => format!(
                         "the end effector follows changes of its actions after {:.2} frames; the median of the demonstrations is {:.2}",

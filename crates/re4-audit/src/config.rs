@@ -96,6 +96,9 @@ pub struct AuditConfig {
     /// Threshold of the check `near_duplicate`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near_duplicate: Option<f64>,
+    /// Threshold of the check `released_moving`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub released_moving: Option<f64>,
     /// Threshold of the check `released_high`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub released_high: Option<f64>,
@@ -148,6 +151,7 @@ impl AuditConfig {
             "frozen_object" => self.frozen_object,
             "gripper_reversed" => self.gripper_reversed,
             "near_duplicate" => self.near_duplicate,
+            "released_moving" => self.released_moving,
             "released_high" => self.released_high,
             "reversed" => self.reversed,
             "saturated_together" => self.saturated_together,

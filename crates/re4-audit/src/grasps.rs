@@ -71,6 +71,8 @@ pub(crate) struct Release {
     pub(crate) fall: f64,
     /// Position at which it rests, world frame, in m.
     pub(crate) place: Vector3<f64>,
+    /// Horizontal distance, in m, that the end effector moves in the step of the command to open.
+    pub(crate) sideways: f64,
 }
 
 /// The limits from the configuration by which grasps are judged.
@@ -254,6 +256,15 @@ pub(crate) fn rest(evidence: &[SpatialEvidence], from: usize, end: usize) -> usi
 /// steps to release an object half as wide as its opening, and at most ten for its full travel.
 const RELEASING: usize = 12;
 
+/// Horizontal distance that the end effector moves in the step to this frame.
+fn sideways(frames: &[SpatialFrame], frame: usize) -> f64 {
+    let position = |frame: usize| frames.get(frame).map(|frame| frame.eef.translation.vector.xy());
+    let before = frame.checked_sub(1).and_then(position);
+    before
+        .zip(position(frame))
+        .map_or(0.0, |(before, now)| (now - before).norm())
+}
+
 /// Returns the motion of the object after the command to open that ends a held grasp. `None` if the demonstration ends in the
 /// grasp, before the fingers have opened, or if the fingers close again before the object has left them.
 pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp, limits: &GraspLimits) -> Option<Release> {
@@ -290,5 +301,6 @@ pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp, limits: &GraspLim
         rest,
         fall: highest - place.z,
         place,
+        sideways: sideways(frames, grasp.frames.end),
     })
 }

@@ -364,6 +364,20 @@ pub const CHECKS: &[Check] = &[
         ..check("released_high", Severity::Warning, Applies::Gripper)
     },
     Check {
+        meaning: "The gripper is commanded to open while the arm still moves sideways, faster than in the other demonstrations: the object is released on the way, and is thrown.",
+        measure: "Horizontal distance that the end effector moves in the step of the command to open",
+        unit: "m",
+        basis: Basis::Fence {
+            of: "distances at the last releases of demonstrations",
+            whisker: 3.0,
+            spatial: 0.005,
+            planar: 0.0,
+            small: true,
+            most: f64::INFINITY,
+        },
+        ..check("released_moving", Severity::Warning, Applies::Gripper)
+    },
+    Check {
         meaning: "The rows are in reverse order: the motion precedes the actions that would cause it, and is opposite to them. Reverse the rows of all arrays, or leave the demonstration out.",
         measure: "Correlation of the end effector's steps with the actions, at the lag that reversal gives, with the opposite sign",
         basis: Basis::Constant {

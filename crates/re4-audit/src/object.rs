@@ -45,8 +45,20 @@ pub(crate) fn wrong_poses(frames: &[SpatialFrame], limits: &GraspLimits) -> Vec<
         .filter(|segment| segment.mode == Mode::Transfer);
     holds
         .flat_map(|hold| {
-            let mut found = frozen(frames, &hold.frames, limits);
-            found.extend(swapped(frames, &hold.frames, &found, limits));
+            // Fingers that are commanded to open may stay where they are, but no longer hold the object.
+            let commanded = |frame: &usize| {
+                let before = frame.checked_sub(1).and_then(|before| frames.get(before));
+                before.is_some_and(SpatialFrame::closes)
+            };
+            let end = hold
+                .frames
+                .clone()
+                .rev()
+                .find(commanded)
+                .map_or(hold.frames.start, |last| last + 1);
+            let held = hold.frames.start..end;
+            let mut found = frozen(frames, &held, limits);
+            found.extend(swapped(frames, &held, &found, limits));
             found
         })
         .collect()
@@ -120,7 +132,8 @@ fn swapped(frames: &[SpatialFrame], hold: &Range<usize>, frozen: &[WrongPose], l
                 value: jump,
             });
         }
-        from = end.max(frame + 1);
+        // The jump back is no second one.
+        from = end + 1;
     }
     found
 }

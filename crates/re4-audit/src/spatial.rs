@@ -70,6 +70,7 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
     }
     if let Some(release) = grasps.last().and_then(|grasp| released(demo, grasp, limits)) {
         values.push(("released_high", release.fall));
+        values.push(("released_moving", release.sideways));
     }
     let rewards: Vec<f64> = frames.iter().filter_map(|frame| frame.reward).collect();
     Observation {
@@ -253,6 +254,12 @@ fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, limits: &GraspLimits, 
     }
     sink.exceeding("released_high", frames.clone(), release.fall, |value| {
         format!("the object falls {:.0} mm after its release", 1e3 * value)
+    });
+    sink.exceeding("released_moving", frames.clone(), release.sideways, |value| {
+        format!(
+            "the gripper is commanded to open while it moves sideways by {:.1} mm per step",
+            1e3 * value
+        )
     });
     if let Some(end) = sink.thresholds.usual_end {
         sink.exceeding("early_release", frames, (release.place - end).norm(), |value| {

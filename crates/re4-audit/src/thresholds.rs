@@ -1,6 +1,7 @@
 //! Thresholds of the checks, each with its origin.
 
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
 
@@ -143,14 +144,31 @@ impl Thresholds {
         let middle = |code| values.get(code).and_then(|values| median(values)).unwrap_or_default();
         let top_speed = (middle("discontinuity_eef"), middle("discontinuity_rotation"));
         let lengths: Vec<f64> = observations.iter().map(|o| f64::from(o.frames)).collect();
+        let rewards = observations.iter().any(|o| o.rewarded == Some(true));
+        let length_deviation = robust_deviation(&lengths).unwrap_or(0.0);
+        // Checks whose measure does not exist in this dataset.
+        let unmeasured = |code: &str| match code {
+            "ends_before_success" | "success_lost" if !planar && !rewards => {
+                Some("no demonstration has a reward above 0")
+            }
+            "outlier_length" if length_deviation == 0.0 => Some("most demonstrations have the same number of frames"),
+            "reversed" | "actions_opposed" | "actions_scaled" | "actions_shifted" | "actions_unrelated"
+                if usual_response.is_none() =>
+            {
+                Some("the actions explain most of the motion in fewer than half of the demonstrations, or in too few")
+            }
+            _ => None,
+        };
         let by_code = CHECKS
             .iter()
             .filter(|check| check.applies_to(planar))
             .map(|check| {
                 let observed = values.get(check.code).map_or(&[] as &[f64], Vec::as_slice);
-                let threshold = config
-                    .threshold(check.code)
-                    .map_or_else(|| derive(check, observed, planar, closed), |value| set(check, value));
+                let threshold = match (config.threshold(check.code), unmeasured(check.code)) {
+                    (Some(value), _) => set(check, value),
+                    (None, Some(why)) => not_made(why),
+                    (None, None) => derive(check, observed, planar, closed),
+                };
                 (check.code, threshold)
             })
             .collect();
@@ -159,8 +177,8 @@ impl Thresholds {
             by_code,
             usual_end,
             usual_length: median(&lengths).unwrap_or(0.0),
-            length_deviation: robust_deviation(&lengths).unwrap_or(0.0),
-            rewards: observations.iter().any(|o| o.rewarded == Some(true)),
+            length_deviation,
+            rewards,
             usual_response,
             top_speed,
             recorded_goals: true,
@@ -214,26 +232,39 @@ fn set(check: &Check, value: f64) -> Threshold {
     }
 }
 
-fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Threshold {
-    let constant = |value: Option<f64>, derivation: String| Threshold {
+fn constant(value: Option<f64>, derivation: String) -> Threshold {
+    Threshold {
         value,
         origin: Origin::Default,
         derivation,
         made: true,
-    };
-    let data = |value: f64, derivation: String| Threshold {
+    }
+}
+
+fn data(value: f64, derivation: String) -> Threshold {
+    Threshold {
         value: Some(value),
         origin: Origin::Data,
         derivation,
         made: true,
-    };
-    let not_made = |why: String| Threshold {
+    }
+}
+
+fn not_made(why: &str) -> Threshold {
+    Threshold {
         value: None,
         origin: Origin::Data,
         derivation: format!("not made: {why}"),
         made: false,
-    };
-    let count = observed.len();
+    }
+}
+
+fn too_few(minimum: f64, count: usize, of: &str) -> Threshold {
+    let why = format!("the minimum; {count} {of} are too few to derive a threshold");
+    constant(Some(minimum), why)
+}
+
+fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Threshold {
     let pick = |spatial, flat| if planar { flat } else { spatial };
     match check.basis {
         Basis::Nothing => constant(None, "the check has no threshold".to_owned()),
@@ -260,89 +291,72 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
             small,
             most,
         } => {
-            let minimum = pick(spatial, flat);
-            let rule = format!("Q3 + {whisker} (Q3 - Q1)");
+            let (minimum, count) = (pick(spatial, flat), observed.len());
+            let rule = format!("Q3 + {whisker} (Q3 - Q1) of {count} {of}");
             match fence(observed, whisker).filter(|_| count >= ENOUGH) {
-                Some(fence) if fence > most => not_made(format!(
-                    "{rule} of {count} {of} is {fence:.4}, which no fault would exceed"
-                )),
-                Some(fence) if fence > minimum => data(fence, format!("{rule} of {count} {of}")),
-                Some(fence) => constant(
-                    Some(minimum),
-                    format!("the minimum; {rule} of {count} {of} is only {fence:.4}"),
-                ),
-                None if small => constant(
-                    Some(minimum),
-                    format!("the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-                None => not_made(format!("{count} {of} are too few to derive a threshold")),
+                Some(fence) if fence > most => not_made(&format!("{rule} is {fence:.4}, which no fault would exceed")),
+                Some(fence) if fence > minimum => data(fence, rule),
+                Some(fence) => constant(Some(minimum), format!("the minimum; {rule} is only {fence:.4}")),
+                None if small => too_few(minimum, count, of),
+                None => not_made(&format!("{count} {of} are too few to derive a threshold")),
             }
         }
-        Basis::Share { of, minimum } => {
-            let angles: Vec<f64> = observed
-                .iter()
-                .map(|share| share.clamp(0.0, 1.0).sqrt().asin())
-                .collect();
-            let rule = "Q3 + 1.5 (Q3 - Q1), on the scale of arcsin(sqrt(share)),";
-            match fence(&angles, 1.5).filter(|_| count >= ENOUGH) {
-                Some(fence) if fence >= std::f64::consts::FRAC_PI_2 => not_made(format!(
-                    "{rule} of {count} {of} is above 1, so that no value exceeds it"
-                )),
-                Some(fence) if fence.sin().powi(2) > minimum => {
-                    data(fence.sin().powi(2), format!("{rule} of {count} {of}"))
-                }
-                Some(_) => constant(Some(minimum), format!("the minimum; {rule} of {count} {of} is less")),
-                None => constant(
-                    Some(minimum),
-                    format!("the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-            }
-        }
-        Basis::Nearest { spatial, planar: flat } => {
-            let minimum = pick(spatial, flat);
-            let values = sorted(observed.iter().copied());
-            let quartiles = quantile(&values, 0.25).zip(quantile(&values, 0.75));
-            let of = "distances to the nearest other demonstration";
-            let rule = "Q1 (Q1 / Q3)^3, but at most Q1 / 2,";
-            // Scenes on a regular grid have equal distances, which are no copies.
-            let fence = quartiles.map(|(low, high)| low * (low / high).powi(3).min(0.5));
-            match fence.filter(|_| count >= ENOUGH) {
-                Some(fence) if fence > minimum => data(fence, format!("{rule} of {count} {of}")),
-                Some(_) => constant(Some(minimum), format!("the minimum; {rule} of {count} {of} is less")),
-                None => constant(
-                    Some(minimum),
-                    format!("the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-            }
-        }
+        Basis::Share { of, minimum } => of_shares(observed, of, minimum),
+        Basis::Nearest { spatial, planar: flat } => of_nearest(observed, pick(spatial, flat)),
         Basis::Multiple {
             of,
             factor,
             spatial,
             planar: flat,
-        } => {
-            let minimum = pick(spatial, flat);
-            match median(observed).filter(|_| count >= ENOUGH) {
-                Some(middle) if factor * middle > minimum => {
-                    data(factor * middle, format!("{factor} times the median of {count} {of}"))
-                }
-                Some(middle) => constant(
-                    Some(minimum),
-                    format!(
-                        "the minimum; {factor} times the median of {count} {of} is only {:.4}",
-                        factor * middle
-                    ),
-                ),
-                None if factor == 1.0 => constant(
-                    Some(minimum),
-                    format!("the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-                None => constant(
-                    Some(2.0 * minimum),
-                    format!("twice the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-            }
-        }
+        } => of_median(observed, of, factor, pick(spatial, flat)),
+    }
+}
+
+/// The threshold of [`Basis::Share`].
+fn of_shares(observed: &[f64], of: &str, minimum: f64) -> Threshold {
+    let count = observed.len();
+    let angles = observed.iter().map(|share| share.clamp(0.0, 1.0).sqrt().asin());
+    let rule = format!("Q3 + 1.5 (Q3 - Q1), on the scale of arcsin(sqrt(share)), of {count} {of}");
+    let fence = fence(&angles.collect::<Vec<_>>(), 1.5).filter(|_| count >= ENOUGH);
+    match fence {
+        Some(fence) if fence >= FRAC_PI_2 => not_made(&format!("{rule} is above 1, so that no value exceeds it")),
+        Some(fence) if fence.sin().powi(2) > minimum => data(fence.sin().powi(2), rule),
+        Some(_) => constant(Some(minimum), format!("the minimum; {rule} is less")),
+        None => too_few(minimum, count, of),
+    }
+}
+
+/// The threshold of [`Basis::Nearest`].
+fn of_nearest(observed: &[f64], minimum: f64) -> Threshold {
+    let count = observed.len();
+    let values = sorted(observed.iter().copied());
+    let quartiles = quantile(&values, 0.25).zip(quantile(&values, 0.75));
+    let of = "distances to the nearest other demonstration";
+    let rule = format!("Q1 (Q1 / Q3)^3, but at most Q1 / 2, of {count} {of}");
+    // Scenes on a regular grid have equal distances, which are no copies.
+    let fence = quartiles.map(|(low, high)| low * (low / high).powi(3).min(0.5));
+    match fence.filter(|_| count >= ENOUGH) {
+        Some(fence) if fence > minimum => data(fence, rule),
+        Some(_) => constant(Some(minimum), format!("the minimum; {rule} is less")),
+        None => too_few(minimum, count, of),
+    }
+}
+
+/// The threshold of [`Basis::Multiple`].
+fn of_median(observed: &[f64], of: &str, factor: f64, minimum: f64) -> Threshold {
+    let count = observed.len();
+    let rule = format!("{factor} times the median of {count} {of}");
+    match median(observed).filter(|_| count >= ENOUGH) {
+        Some(middle) if factor * middle > minimum => data(factor * middle, rule),
+        Some(middle) => constant(
+            Some(minimum),
+            format!("the minimum; {rule} is only {:.4}", factor * middle),
+        ),
+        None if factor == 1.0 => too_few(minimum, count, of),
+        None => constant(
+            Some(2.0 * minimum),
+            format!("twice the minimum; {count} {of} are too few to derive a threshold"),
+        ),
     }
 }
 

@@ -193,6 +193,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 53);
+        assert_eq!(names.len(), 55);
     }
 }

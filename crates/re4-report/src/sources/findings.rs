@@ -129,7 +129,11 @@ impl Findings {
             .map(|(rule, row)| format!("{:.1} % by {rule}", 1e2 * row["agreement"].as_f64().unwrap_or_default()))
             .collect();
         if !agreements.is_empty() {
-            write!(text, "\n  frames with the same mode by other rules: {}", agreements.join(", "))?;
+            write!(
+                text,
+                "\n  frames with the same mode by other rules: {}",
+                agreements.join(", ")
+            )?;
         }
         if let Some(overlap) = summary["contacts"]["jaccard"].as_f64() {
             write!(
