@@ -316,14 +316,17 @@ fn planted_faults_are_found_and_clean_demonstrations_have_none() {
     );
     // Every demonstration is audited, also those that contradict the conventions of the file.
     assert_eq!(answer["summary"]["episodes"], 64);
-    let episodes = place.artifact(Stage::Audit);
-    assert!(
-        episodes
-            .read::<re4_audit::AuditedEpisodeRow>()
-            .unwrap()
-            .iter()
-            .all(|row| row.frames > 0)
-    );
+    assert_eq!(answer["summary"]["by_code"]["left_out"], 6);
+    let rows: Vec<re4_audit::RuleAgreementRow> = place.artifact(Stage::Audit).read().unwrap();
+    assert_eq!(rows.len(), 64 * 4);
+    on(
+        &place,
+        &data,
+        "audit",
+        "lift-audit.toml",
+        &format!("--quiet {PLANTED} --html audit.html"),
+    )
+    .done();
 }
 
 /// The F1 score of transfer against the frames in which both fingers touch the object.

@@ -66,21 +66,19 @@ struct Audited {
 }
 
 impl Audited {
-    /// Reports the demonstrations that ingest left out, each with one finding. They follow the others; those without readable
-    /// frames are listed with no frames.
+    /// Reports the demonstrations that ingest left out, each with one finding. They follow the others, and are listed with no frames.
     fn report_left_out(&mut self, left: &[LeftOut], kept: usize) {
         for (number, left) in left.iter().enumerate() {
             let place = kept + number;
             if self.listed.len() <= place {
                 self.listed.push(Listed::new(&left.demo, 0, Vec::new(), 0.0));
             }
-            let frames = self.listed.get(place).map_or(0, |listed| listed.row.frames);
             self.findings.push(Finding {
                 severity: Severity::Error,
                 code: "left_out",
                 episode: place as u32,
                 demo: left.demo.clone(),
-                frames: 0..frames as u32,
+                frames: 0..0,
                 value: None,
                 threshold: None,
                 unit: "",
@@ -216,7 +214,12 @@ impl Runner {
             for own in &batch {
                 // Demonstrations without readable frames have a number, too.
                 listed.resize_with(own.demo.number as usize, || Listed::new("", 0, Vec::new(), 0.0));
-                listed.push(list_spatial(&own.demo));
+                // The frames of a demonstration that was left out are in no other table.
+                listed.push(if own.kept {
+                    list_spatial(&own.demo)
+                } else {
+                    Listed::new(&own.demo.episode.name, 0, Vec::new(), 0.0)
+                });
                 numbers.extend((!own.kept).then_some(own.demo.number));
             }
             bar.inc(batch.len() as u64);
@@ -242,12 +245,8 @@ impl Runner {
                 .collect::<Result<_>>()?;
             for (own, (audit, agreement)) in batch.iter().zip(audits) {
                 findings.extend(audit.findings);
-                grasps.extend(
-                    audit
-                        .grasps
-                        .into_iter()
-                        .filter_map(|judged| list_grasp(&own.demo, judged)),
-                );
+                let judged = audit.grasps.into_iter().filter(|_| own.kept);
+                grasps.extend(judged.filter_map(|judged| list_grasp(&own.demo, judged)));
                 agreements.extend(agreement);
             }
             bar.inc(batch.len() as u64);

@@ -123,8 +123,8 @@ fn not_made(thresholds: &Thresholds) -> Value {
         .into()
 }
 
-/// How far the modes by each rule agree with those of the artifact: the mean over demonstrations, and the least
-/// agreement of a demonstration.
+/// How far the modes by each rule agree with those of the artifact: the mean over demonstrations, and the minimum
+/// over demonstrations.
 fn rules(rows: &[RuleAgreementRow]) -> Value {
     let mut by_rule: BTreeMap<&str, (bool, Vec<f64>)> = BTreeMap::new();
     for row in rows {
