@@ -1,12 +1,13 @@
 //! The tables of all artifacts.
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
-use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow, RuleAgreementRow};
 use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_influence::{CuratedRow, InfluenceRow, JudgedEpisodeRow, JudgedRow, PairRow, RoundRow};
 use re4_ingest::{
-    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, LeftOutFrameRow, ModelRow, PlanarColumns,
+    SpatialColumns, StateRow,
 };
 use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
@@ -30,6 +31,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             DemoRow::table(),
             Convention::table(),
             LeftOut::table(),
+            LeftOutFrameRow::<SpatialColumns>::table(),
             StateRow::table(),
             ModelRow::table(),
         ],
@@ -45,6 +47,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             AuditedEpisodeRow::table(),
             GraspRow::table(),
             ScoreRow::table(),
+            RuleAgreementRow::table(),
         ],
         Stage::Index => vec![
             IndexRow::<PlanarState>::table(),
@@ -195,6 +198,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 60);
+        assert_eq!(names.len(), 62);
     }
 }

@@ -90,6 +90,8 @@ fn finding(episode: u32) -> FindingRow {
         threshold: None,
         unit: "m".into(),
         message: "it </script> slipped".to_owned(),
+        other_episode: None,
+        other_demo: None,
         demo_name: None,
     }
 }
