@@ -60,11 +60,14 @@ fn known_errors_are_found_and_nothing_else() {
         ("demo_3", vec!["missed_grasp", "regrasp"]),
         ("demo_5", vec!["ends_before_success", "lost_grasp"]),
         ("demo_6", vec!["pushed_in_transit"]),
-        ("demo_8", vec!["dropped", "early_release", "ends_before_success"]),
+        (
+            "demo_8",
+            vec!["dropped", "early_release", "ends_before_success", "released_high"],
+        ),
         ("demo_10", vec!["ends_before_success", "no_transfer"]),
         ("demo_11", vec!["flicker"]),
         ("demo_13", vec!["frozen"]),
-        ("demo_14", vec!["saturated"]),
+        ("demo_14", vec!["saturated", "saturated_together"]),
         ("demo_16", vec!["duplicate"]),
         ("demo_18", vec!["discontinuity_eef"]),
     ]
@@ -81,16 +84,8 @@ fn known_errors_are_found_and_nothing_else() {
         .collect();
     assert_eq!(outliers, BTreeSet::from(["demo_3", "demo_6", "demo_8", "demo_13"]));
     assert!(
-        notes
-            .values()
-            .flatten()
-            .all(|code| code == "outlier_length" || code == "seam"),
-        "{notes:?}"
-    );
-    assert_eq!(
-        notes.len(),
-        19,
-        "the rotation vectors of downward goals jump near pi in every demonstration"
+        notes.values().flatten().all(|code| code == "outlier_length"),
+        "the goals are not recorded, so that their rotation vectors have no seams: {notes:?}"
     );
 }
 
@@ -173,7 +168,7 @@ fn segment_also_runs_the_audit() {
     let last = answer.stdout.lines().last().unwrap();
     assert_eq!(
         last,
-        "audit: 4 errors in 4 demonstrations, 11 warnings, 23 notes; see re4-pipe audit"
+        "audit: 4 errors in 4 demonstrations, 13 warnings, 4 notes; see re4-pipe audit"
     );
     place.artifact(Stage::Audit);
     let pushes = Place::new();
@@ -256,6 +251,108 @@ fn retries_of_the_scripted_demonstrations_are_found_and_no_other_errors() {
             "{task}"
         );
         assert_eq!(answer["summary"]["errors"], missed.len(), "{task}");
+    }
+}
+
+/// The demonstrations with planted faults, and their truth.
+fn planted() -> Option<(std::path::PathBuf, Value)> {
+    let data = real_data()?;
+    let truth = data.join("audit-truth/lift_faults.json");
+    if !truth.is_file() {
+        println!("skipped: no audit-truth/lift_faults.json in RE4_DATA");
+        return None;
+    }
+    Some((data, serde_json::from_slice(&fs::read(truth).unwrap()).unwrap()))
+}
+
+const PLANTED: &str = "--set ingest.source=audit-truth/lift_faults.hdf5";
+
+/// A fault is found if a finding of a fitting code touches its frames, extended by 6 frames. `benches/audit_truth.py` prints the
+/// same comparison as a table.
+#[test]
+fn planted_faults_are_found_and_clean_demonstrations_have_none() {
+    let Some((data, truth)) = planted() else { return };
+    let names: BTreeMap<String, Vec<String>> =
+        serde_json::from_slice(&fs::read(repository().join("benches/audit_truth.json")).unwrap()).unwrap();
+    let place = Place::empty();
+    let answer = on(
+        &place,
+        &data,
+        "audit",
+        "lift-audit.toml",
+        &format!("--json --quiet {PLANTED}"),
+    );
+    let answer = answer.done().json();
+    let findings = answer["findings"].as_array().unwrap();
+    let frame = |value: &Value, key: &str| value[key].as_i64().unwrap();
+    let (mut missed, mut all) = (Vec::new(), 0);
+    for (demo, own) in truth.as_object().unwrap() {
+        let found = || findings.iter().filter(|finding| finding["demo"] == demo.as_str());
+        for fault in own["faults"].as_array().unwrap() {
+            let kind = fault["kind"].as_str().unwrap();
+            let fits = |finding: &Value| names[kind].iter().any(|code| finding["code"] == code.as_str());
+            let touches = |finding: &Value| {
+                frame(finding, "first_frame") < frame(fault, "end") + 6
+                    && frame(finding, "end_frame") > frame(fault, "first") - 6
+            };
+            // The finding of a copy can be on either twin.
+            let twin = findings
+                .iter()
+                .any(|finding| fits(finding) && finding["other_demo"] == demo.as_str());
+            all += 1;
+            if !found().any(|finding| fits(finding) && touches(finding)) && !twin {
+                missed.push(format!("{demo}: {fault}"));
+            }
+        }
+        if own["clean"] == true {
+            let severe = |finding: &&Value| finding["severity"] != "note" && finding["other_demo"].is_null();
+            let severe: Vec<_> = found().filter(severe).collect();
+            assert!(severe.is_empty(), "{demo} is clean: {severe:?}");
+        }
+    }
+    assert!(
+        all == 50 && 20 * missed.len() <= all,
+        "{all} planted, missed: {missed:#?}"
+    );
+    // Every demonstration is audited, also those that contradict the conventions of the file.
+    assert_eq!(answer["summary"]["episodes"], 64);
+    assert_eq!(answer["summary"]["by_code"]["left_out"], 6);
+    let rows: Vec<re4_audit::RuleAgreementRow> = place.artifact(Stage::Audit).read().unwrap();
+    assert_eq!(rows.len(), 64 * 4);
+    on(
+        &place,
+        &data,
+        "audit",
+        "lift-audit.toml",
+        &format!("--quiet {PLANTED} --html audit.html"),
+    )
+    .done();
+}
+
+/// The F1 score of transfer against the frames in which both fingers touch the object.
+#[test]
+fn modes_match_the_true_grasps() {
+    let Some((data, truth)) = planted() else { return };
+    for (rule, least) in [("gripper_command", 0.8), ("grasp", 0.97), ("evidence", 0.97)] {
+        let place = Place::empty();
+        let settings = format!("--quiet {PLANTED} --set ingest.on_bad=leave_out --set segment.rule={rule}");
+        on(&place, &data, "segment", "lift-audit.toml", &settings).done();
+        let names: Vec<re4_artifact::episodes::DemoRow> = place.artifact(Stage::Ingest).read().unwrap();
+        let modes: Vec<re4_segment::ModeRow<re4_segment::SpatialEvidence>> =
+            place.artifact(Stage::Segment).read().unwrap();
+        let (mut both, mut either) = (0, 0);
+        for row in &modes {
+            let grasp = truth[&names[row.episode as usize].demo]["grasp"][row.frame as usize] == 1;
+            let transfer = row.mode == re4_episode::Mode::Transfer;
+            both += 2 * usize::from(grasp && transfer);
+            either += usize::from(grasp) + usize::from(transfer);
+        }
+        let score = both as f64 / either as f64;
+        assert!(score >= least, "{rule}: {score}");
+        let agreement: Vec<re4_audit::RuleAgreementRow> = place.artifact(Stage::Audit).read().unwrap();
+        let own = agreement.iter().filter(|row| row.configured);
+        assert!(own.clone().all(|row| &*row.rule == rule && row.agreement == 1.0));
+        assert!(own.count() > 0);
     }
 }
 

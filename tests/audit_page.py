@@ -12,7 +12,7 @@ import json
 import sys
 import tempfile
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 import browser
 from selenium.webdriver.common.by import By
@@ -323,8 +323,86 @@ def marks_can_be_clicked(page, expected):
         equal(page.one(f"#grasp-legend [data-outcome='{outcome}']").get_attribute("data-count"), str(count), f"grasps {outcome}")
 
 
+def kept(page):
+    return int(page.one("#keep-count").get_attribute("data-kept"))
+
+
+def keep_list_can_be_edited(page, expected):
+    """Buttons, the box and the text change the same list, and both files contain it."""
+    page.open()
+    usable = [demo["name"] for demo in expected["demos"] if demo["frames"] > 0]
+    equal(kept(page), len(usable), "demonstrations on the keep-list at the start")
+    value = lambda selector: page.run("return arguments[0].value", page.one(selector))
+    page.press("#keep-this")
+    dropped = page.one("#evidence-title").text
+    equal(value("#keep-text").split("\n")[:-1], [name for name in usable if name != dropped], "names without the dropped one")
+    setting = value("#keep-toml")
+    for name in usable[:50]:
+        number = name.removeprefix("episode ")
+        entry = number if number != name else f'"{name}"'
+        listed = entry in setting.split("[", 2)[2].rstrip("]} \n").split(", ")
+        equal(listed, name != dropped, f"{name} in the setting")
+    for link, text in [("#save-names", value("#keep-text")), ("#save-toml", setting)]:
+        address = page.one(link).get_attribute("href")
+        equal(unquote(address.split(",", 1)[1]), text, f"the file of {link}")
+    code = next((code for code, (findings, _) in expected["codes"].items() if findings > 0), None)
+    page.press("#keep-all")
+    if code is not None:
+        page.press(f".chip[data-code={code}]")
+        listed = page.shown()
+        page.press("#keep-listed")
+        check(0 <= kept(page) <= listed, "more demonstrations are kept than listed")
+        page.press("#drop-listed")
+        equal(kept(page), 0, "demonstrations after those listed were dropped")
+        page.press("#clear-filters")
+    text = page.one("#keep-text")
+    page.run("const e = arguments[0]; e.value = arguments[1]; e.dispatchEvent(new Event('input'))", text, f"{usable[0]}\nno such name\n")
+    equal(kept(page), 1, "demonstrations after the text was edited")
+    check(page.one("#keep-notice").is_displayed() and "no such name" in page.one("#keep-notice").text, "there is no warning about an unknown name")
+    page.press("#keep-all")
+    equal(kept(page), len(usable), "demonstrations after all are kept")
+
+
+def scores_rank_demonstrations(page, expected):
+    """The plot has one mark per demonstration, and the worst ones can be dropped."""
+    if not page.all("#scores"):
+        return
+    page.open()
+    usable = sum(demo["frames"] > 0 for demo in expected["demos"])
+    marks = page.all("#score-plot circle")
+    check(0 < len(marks) <= usable, f"{len(marks)} marks for {usable} demonstrations")
+    page.run("arguments[0].dispatchEvent(new MouseEvent('click', {bubbles: true}))", marks[0])
+    page.settle()
+    equal(page.one("#evidence-title").text, page.one("#score-plot circle.chosen").get_attribute("data-demo"), "the demonstration of a mark")
+    check("quality" in page.one("#evidence-scores").text, "the scores of the selected demonstration are not shown")
+    page.run("arguments[0].value = 1", page.one("#drop-count"))
+    page.press("#drop-worst")
+    equal(kept(page), usable - 1, "demonstrations after the worst was dropped")
+    equal(len(page.all("#score-plot circle.dropped")), 1, "hollow marks")
+    Select(page.one("#sort")).select_by_value("score quality")
+    worst, best = page.ends()
+    check(usable < 2 or worst != best, "the order by quality has one end")
+    Select(page.one("#sort")).select_by_value("worst")
+    page.press("#keep-all")
+
+
+def demonstrations_can_be_compared(page, expected):
+    """Choosing another demonstration adds its curves."""
+    page.open()
+    options = [option.get_attribute("value") for option in page.all("#compare option") if option.get_attribute("value")]
+    check(options or len(expected["demos"]) < 2, "there is nothing to compare with")
+    if not options:
+        return
+    Select(page.one("#compare")).select_by_value(options[0])
+    page.settle()
+    check(page.all("#evidence-plots .curve.other"), "the other demonstration has no curves")
+    Select(page.one("#compare")).select_by_value("")
+    page.settle()
+    check(not page.all("#evidence-plots .curve.other"), "the curves of the other demonstration remain")
+
+
 def controls_have_names(page):
-    names = page.run("return [...document.querySelectorAll('button, select, input, [tabindex=\"0\"]')].filter(e => !("
+    names = page.run("return [...document.querySelectorAll('button, select, input, textarea, [tabindex=\"0\"]')].filter(e => !("
                      "e.ariaLabel || e.getAttribute('aria-label') || e.textContent.trim() || (e.labels && [...e.labels].some(l => l.textContent.trim()))"
                      ")).map(e => e.outerHTML)")
     check(not names, f"controls without a name: {names}")
@@ -390,6 +468,9 @@ def main():
             crosshair_reads_values(page, expected)
             addresses_open_demonstrations(page, expected)
             marks_can_be_clicked(page, expected)
+            keep_list_can_be_edited(page, expected)
+            scores_rank_demonstrations(page, expected)
+            demonstrations_can_be_compared(page, expected)
             controls_have_names(page)
             page_fits_widths_and_schemes(page)
             page_prints(page, expected)

@@ -17,6 +17,8 @@ pub(crate) const COMMANDS: [&str; 19] = [
     "rollout",
     "run",
     "compare",
+    "influence",
+    "curate",
     "replay",
     "video",
     "verify",

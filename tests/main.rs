@@ -21,6 +21,7 @@ mod hdf5_damage;
 mod identity;
 mod image_rollouts;
 mod images;
+mod influence;
 mod interrupt;
 mod kill;
 mod notebooks;

@@ -499,8 +499,10 @@ fn inspect_shows_every_artifact() {
         "grasps",
         "labels",
         "left_out",
+        "left_out_frames",
         "models",
         "pose_errors",
+        "rule_agreement",
         "states",
         "training",
         // Written only by rollouts with other goals or disturbances.

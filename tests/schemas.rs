@@ -103,6 +103,7 @@ fn the_schemas_match_the_written_columns() {
         missing,
         [
             "left_out",
+            "left_out_frames",
             "states",
             "models",
             "poses-space",

@@ -326,6 +326,8 @@ impl Builder {
                     values: self.holds,
                 },
             ],
+            scores: Vec::new(),
+            shots: Vec::new(),
             panels: vec![
                 panel("Finger separation", "mm", vec![("", self.fingers)]),
                 panel(

@@ -197,6 +197,22 @@ table! {
 }
 
 table! {
+    /// One row per frame of every demonstration that was left out although it can be read: it contradicts what most of the other
+    /// demonstrations prove, for example with the opposite sign of the gripper command. The values follow the conventions of the
+    /// other demonstrations. Only the audit reads them. Sorted by demonstration and frame.
+    #[table("left_out_frames", version = 1)]
+    pub struct LeftOutFrameRow<F> {
+        /// Number of the demonstration's row in table left_out, from 0.
+        pub left_out: u32,
+        /// Number of the frame in its episode, from 0. A frame is one control step.
+        pub frame: u32,
+        /// The recorded values.
+        #[prefix = ""]
+        pub recorded: F,
+    }
+}
+
+table! {
     /// One row per frame, in the order of table frames: the recorded state of the simulator before the action.
     #[table("states", version = 1)]
     pub struct StateRow {

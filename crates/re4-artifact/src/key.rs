@@ -33,11 +33,15 @@ pub enum Stage {
     Replay,
     /// Reads the `rollouts` of the cells of a suite and produces `comparison`.
     Compare,
+    /// Reads what rollouts are made from and produces `influence`, the effect of leaving out each demonstration.
+    Influence,
+    /// Reads what rollouts are made from and `audit`, and produces `curation`, a subset of the demonstrations.
+    Curate,
 }
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 12] = [
         Self::Ingest,
         Self::Segment,
         Self::Audit,
@@ -48,6 +52,8 @@ impl Stage {
         Self::Rollout,
         Self::Replay,
         Self::Compare,
+        Self::Influence,
+        Self::Curate,
     ];
 
     /// Name of the stage, as typed on the command line.
@@ -63,6 +69,8 @@ impl Stage {
             Self::Rollout => "rollout",
             Self::Replay => "replay",
             Self::Compare => "compare",
+            Self::Influence => "influence",
+            Self::Curate => "curate",
         }
     }
 
@@ -79,6 +87,8 @@ impl Stage {
             Self::Rollout => "rollouts",
             Self::Replay => "replays",
             Self::Compare => "comparison",
+            Self::Influence => "influence",
+            Self::Curate => "curation",
         }
     }
 

@@ -6,6 +6,7 @@ use re4_episode::Segment;
 
 use crate::checks::find;
 use crate::finding::{Finding, Severity};
+use crate::runs::{bursts, runs};
 use crate::thresholds::{Observation, Thresholds};
 
 /// Collects the findings of one demonstration.
@@ -39,7 +40,25 @@ impl<'a> Sink<'a> {
             threshold: self.thresholds.value(code),
             unit: check.map_or("", |check| check.unit_of(self.thresholds.planar())),
             message,
+            other: None,
+            other_demo: None,
         });
+    }
+
+    /// Links the last finding with another demonstration.
+    pub(crate) fn link(&mut self, other: &Observation) {
+        if let Some(finding) = self.findings.last_mut() {
+            finding.other = Some(other.episode);
+            finding.other_demo = Some(other.demo.clone());
+        }
+    }
+
+    /// Adds one finding for each burst of values that exceed the threshold of the check, with the largest value. The values are
+    /// those of steps; a step from frame t concerns the frames t and t + 1.
+    pub(crate) fn bursts(&mut self, code: &'static str, steps: &[f64], message: impl Fn(f64) -> String) {
+        for (steps, largest) in bursts(steps, self.thresholds.over(code)) {
+            self.add(code, steps.start..steps.end + 1, Some(largest), message(largest));
+        }
     }
 
     /// Adds a finding if the value exceeds the threshold of the check.
@@ -83,39 +102,27 @@ pub(crate) fn lengths_and_flicker(sink: &mut Sink<'_>, segments: &[Segment], fra
     let minimum = thresholds.over("flicker");
     // The first and the last segment may be short because the recording starts or ends there.
     let inner = segments.get(1..segments.len().saturating_sub(1)).unwrap_or_default();
-    for segment in inner {
-        let length = segment.frames.len();
-        if (length as f64) < minimum && minimum.is_finite() {
-            sink.add(
-                "flicker",
-                segment.frames.clone(),
-                Some(length as f64),
-                match length {
-                    1 => format!("one frame of {} between two other segments", segment.mode),
-                    _ => format!("{length} frames of {} between two other segments", segment.mode),
-                },
-            );
-        }
+    let short = |segment: &Segment| (segment.frames.len() as f64) < minimum && minimum.is_finite();
+    for row in runs(inner.iter().map(short), 1) {
+        let row = inner.get(row).unwrap_or_default();
+        let lengths = || row.iter().map(|segment| segment.frames.len());
+        let (Some(first), Some(last), Some(shortest), Some(longest)) =
+            (row.first(), row.last(), lengths().min(), lengths().max())
+        else {
+            continue;
+        };
+        sink.add(
+            "flicker",
+            first.frames.start..last.frames.end,
+            Some(shortest as f64),
+            match (row.len(), shortest) {
+                (1, 1) => format!("one frame of {} between two other segments", first.mode),
+                (1, _) => format!("{shortest} frames of {} between two other segments", first.mode),
+                (count, _) if shortest == longest => format!("{count} segments of {shortest} frames in a row"),
+                (count, _) => format!("{count} segments of {shortest} to {longest} frames in a row"),
+            },
+        );
     }
-}
-
-/// Reports demonstrations that are identical to an earlier one, or have the same actions as an earlier one.
-pub fn audit_copies(observations: &[Observation], thresholds: &Thresholds) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    for (place, observation) in observations.iter().enumerate() {
-        let before = observations.get(..place).unwrap_or_default();
-        let all = 0..observation.frames as usize;
-        let mut sink = Sink::new(observation.episode, &observation.demo, thresholds);
-        if let Some(same) = before.iter().find(|other| other.recording == observation.recording) {
-            let message = format!("identical to {}, bit for bit", same.demo);
-            sink.add("duplicate", all, None, message);
-        } else if let Some(same) = before.iter().find(|other| other.actions == observation.actions) {
-            let message = format!("the same actions as {}, but other states", same.demo);
-            sink.add("same_actions", all, None, message);
-        }
-        findings.append(&mut sink.findings);
-    }
-    findings
 }
 
 /// Hashes the bits of numbers. Equal hashes mean bit-for-bit equal sequences.

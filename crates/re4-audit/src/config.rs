@@ -4,7 +4,7 @@ use re4_fault::Remedy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::checks::CHECKS;
+use crate::list::CHECKS;
 
 /// Thresholds of the audit, by the code of their check. They replace the thresholds that are derived from the data or built in.
 /// Each has the unit of its check.
@@ -72,6 +72,51 @@ pub struct AuditConfig {
     /// Threshold of the check `saturated`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub saturated: Option<f64>,
+    /// Threshold of the check `actions_opposed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actions_opposed: Option<f64>,
+    /// Threshold of the check `actions_scaled`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actions_scaled: Option<f64>,
+    /// Threshold of the check `actions_shifted`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actions_shifted: Option<f64>,
+    /// Threshold of the check `actions_unrelated`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actions_unrelated: Option<f64>,
+    /// Threshold of the check `frozen_eef`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frozen_eef: Option<f64>,
+    /// Threshold of the check `frozen_object`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frozen_object: Option<f64>,
+    /// Threshold of the check `gripper_reversed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gripper_reversed: Option<f64>,
+    /// Threshold of the check `near_duplicate`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub near_duplicate: Option<f64>,
+    /// Threshold of the check `released_moving`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub released_moving: Option<f64>,
+    /// Threshold of the check `released_high`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub released_high: Option<f64>,
+    /// Threshold of the check `reversed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reversed: Option<f64>,
+    /// Threshold of the check `saturated_together`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub saturated_together: Option<f64>,
+    /// Threshold of the check `success_lost`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub success_lost: Option<f64>,
+    /// Threshold of the check `swapped_object`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub swapped_object: Option<f64>,
+    /// Threshold of the check `time_gap`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_gap: Option<f64>,
 }
 
 impl AuditConfig {
@@ -98,6 +143,21 @@ impl AuditConfig {
             "pushed_in_transit" => self.pushed_in_transit,
             "regrasp" => self.regrasp,
             "saturated" => self.saturated,
+            "actions_opposed" => self.actions_opposed,
+            "actions_scaled" => self.actions_scaled,
+            "actions_shifted" => self.actions_shifted,
+            "actions_unrelated" => self.actions_unrelated,
+            "frozen_eef" => self.frozen_eef,
+            "frozen_object" => self.frozen_object,
+            "gripper_reversed" => self.gripper_reversed,
+            "near_duplicate" => self.near_duplicate,
+            "released_moving" => self.released_moving,
+            "released_high" => self.released_high,
+            "reversed" => self.reversed,
+            "saturated_together" => self.saturated_together,
+            "success_lost" => self.success_lost,
+            "swapped_object" => self.swapped_object,
+            "time_gap" => self.time_gap,
             _ => None,
         }
     }

@@ -45,4 +45,8 @@ pub struct Finding {
     pub unit: &'static str,
     /// Describes the finding in one sentence.
     pub message: String,
+    /// Number of the other demonstration that the finding is about, such as the original of a copy.
+    pub other: Option<u32>,
+    /// Name of that demonstration in its source.
+    pub other_demo: Option<String>,
 }

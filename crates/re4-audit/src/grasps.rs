@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use re4_episode::{Mode, SpatialFrame};
 use re4_segment::{SpatialEvidence, SpatialSegment};
 
+use crate::object::WrongPose;
 use crate::spatial::SpatialDemo;
 
 /// The outcome of a transfer segment.
@@ -44,6 +45,9 @@ pub struct JudgedGrasp {
     pub outcome: GraspOutcome,
     /// First frame at which the fingers have stopped closing, or the first frame of the segment if they never stop.
     pub settled: usize,
+    /// Frames in which the object slips in the gripper: from the first at which a tenth of the residual is exceeded to the first
+    /// at which nine tenths are. If the object is lost, from the first at which a tenth of the limit is exceeded until it is lost.
+    pub slip: Range<usize>,
     /// Smallest distance between the fingers in the segment.
     pub narrowest: f64,
     /// Largest distance of the end effector, in the object's frame, from the grasp transform, while the object was held.
@@ -67,6 +71,8 @@ pub(crate) struct Release {
     pub(crate) fall: f64,
     /// Position at which it rests, world frame, in m.
     pub(crate) place: Vector3<f64>,
+    /// Horizontal distance, in m, that the end effector moves in the step of the command to open.
+    pub(crate) sideways: f64,
 }
 
 /// The limits from the configuration by which grasps are judged.
@@ -78,17 +84,21 @@ pub struct GraspLimits {
     pub lost: f64,
     /// Segments shorter than this, in frames, are flicker.
     pub flicker: usize,
+    /// An object pose repeated in at least this many frames is frozen.
+    pub frozen: usize,
+    /// An object pose that jumps further than this, in m, from fingers that keep their distance is that of another object.
+    pub swapped: f64,
 }
 
 /// Judges every transfer segment of a demonstration, in order of time.
-pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits) -> Vec<JudgedGrasp> {
+pub(crate) fn judge(demo: &SpatialDemo, limits: &GraspLimits, wrong: &[WrongPose]) -> Vec<JudgedGrasp> {
     let frames = &demo.episode.frames;
     let mut judged: Vec<JudgedGrasp> = Vec::new();
     for (number, summary) in demo.segmented.segments.iter().enumerate() {
         if summary.segment.mode != Mode::Transfer {
             continue;
         }
-        let mut grasp = judge_one(number, summary, frames, limits);
+        let mut grasp = judge_one(number, summary, frames, limits, wrong);
         if let Some(before) = judged.last()
             && summary.segment.frames.start - before.frames.end < limits.flicker
             && (before.outcome == GraspOutcome::Held || before.continues)
@@ -107,7 +117,13 @@ fn eef_in_object(frame: &SpatialFrame) -> Vector3<f64> {
     frame.object.inv_mul(&frame.eef).translation.vector
 }
 
-fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], limits: &GraspLimits) -> JudgedGrasp {
+fn judge_one(
+    number: usize,
+    summary: &SpatialSegment,
+    frames: &[SpatialFrame],
+    limits: &GraspLimits,
+    wrong: &[WrongPose],
+) -> JudgedGrasp {
     let range = summary.segment.frames.clone();
     let within = frames.get(range.clone()).unwrap_or_default();
     let narrowest = within
@@ -124,6 +140,7 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
         frames: range.clone(),
         outcome: GraspOutcome::Held,
         settled: summary.settled_frame.unwrap_or(range.start),
+        slip: range.clone(),
         narrowest,
         residual: 0.0,
         residual_rotation: 0.0,
@@ -151,7 +168,14 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
     }
     let object_from_eef_start = start.object.inv_mul(&start.eef);
     let (mut object_distance, mut eef_distance) = (0.0_f64, 0.0_f64);
+    let mut drifts = Vec::new();
+    // Contacts move a held object where it is put down or inserted. A grasp that is not released has no such place.
+    let place = frames.get(range.end).map(|frame| frame.object.translation.vector);
+    let is_wrong = |frame: usize| wrong.iter().any(|wrong| wrong.frames.contains(&frame));
     for (frame, now) in frames.iter().enumerate().take(range.end).skip(settled) {
+        if is_wrong(frame) {
+            continue;
+        }
         let object_from_eef = now.object.inv_mul(&now.eef);
         let drift = (object_from_eef.translation.vector - object_from_eef_start.translation.vector).norm();
         if drift > limits.lost || now.finger_separation() < limits.closed {
@@ -162,6 +186,7 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
             } else {
                 GraspOutcome::Missed
             };
+            grasp.slip = slip(&drifts, 0.1 * limits.lost, limits.lost).start.min(frame)..frame;
             return grasp;
         }
         let distance = |from: &nalgebra::Isometry3<f64>, to: &nalgebra::Isometry3<f64>| {
@@ -169,11 +194,39 @@ fn judge_one(number: usize, summary: &SpatialSegment, frames: &[SpatialFrame], l
         };
         object_distance = object_distance.max(distance(&start.object, &now.object));
         eef_distance = eef_distance.max(distance(&start.eef, &now.eef));
-        grasp.residual = grasp.residual.max(drift);
+        let carried = place.is_none_or(|place| (now.object.translation.vector - place).norm() > AT_PLACE);
+        if carried {
+            drifts.push((frame, drift));
+            grasp.residual = grasp.residual.max(drift);
+        }
         let angle = object_from_eef.rotation.angle_to(&object_from_eef_start.rotation);
         grasp.residual_rotation = grasp.residual_rotation.max(angle);
     }
+    grasp.slip = slip(&drifts, 0.1 * grasp.residual, 0.9 * grasp.residual);
     grasp
+}
+
+/// An object this close, in m, to the place where it is released can be in contact with it.
+const AT_PLACE: f64 = 0.03;
+
+/// The frames from the one after which the drift stays above `least` until it reaches `most`, to the first one at which it does.
+fn slip(drifts: &[(usize, f64)], least: f64, most: f64) -> Range<usize> {
+    let reached = drifts
+        .iter()
+        .position(|(_, drift)| *drift >= most)
+        .unwrap_or(drifts.len());
+    let before = drifts.get(..reached).unwrap_or_default();
+    let start = before
+        .iter()
+        .rposition(|(_, drift)| *drift <= least)
+        .map_or(0, |last| last + 1);
+    let frame = |place: usize| {
+        drifts
+            .get(place)
+            .or_else(|| drifts.last())
+            .map_or(0, |(frame, _)| *frame)
+    };
+    frame(start)..frame(reached) + 1
 }
 
 /// Number of consecutive steps without motion after which the object counts as at rest.
@@ -199,29 +252,55 @@ pub(crate) fn rest(evidence: &[SpatialEvidence], from: usize, end: usize) -> usi
     (from..last).find(|&frame| rests(frame)).unwrap_or(last)
 }
 
+/// Number of frames after a command to open within which the fingers let the object go: the simulated gripper needs five control
+/// steps to release an object half as wide as its opening, and at most ten for its full travel.
+const RELEASING: usize = 12;
+
+/// Horizontal distance that the end effector moves in the step to this frame.
+fn sideways(frames: &[SpatialFrame], frame: usize) -> f64 {
+    let position = |frame: usize| frames.get(frame).map(|frame| frame.eef.translation.vector.xy());
+    let before = frame.checked_sub(1).and_then(position);
+    before
+        .zip(position(frame))
+        .map_or(0.0, |(before, now)| (now - before).norm())
+}
+
 /// Returns the motion of the object after the command to open that ends a held grasp. `None` if the demonstration ends in the
-/// grasp, or before the fingers have opened.
-pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp) -> Option<Release> {
+/// grasp, before the fingers have opened, or if the fingers close again before the object has left them.
+pub(crate) fn release(demo: &SpatialDemo, grasp: &JudgedGrasp, limits: &GraspLimits) -> Option<Release> {
     let frames = &demo.episode.frames;
     let evidence = &demo.segmented.evidence;
-    let opened = frames.get(grasp.frames.end)?;
-    let end = demo
-        .segmented
-        .segments
-        .get(grasp.segment + 1)
-        .map_or(frames.len(), |next| next.segment.frames.end);
-    let gripped = frames.get(grasp.settled)?.finger_separation();
-    let free = (grasp.frames.end..end).find(|&frame| {
+    frames.get(grasp.frames.end)?;
+    let start = frames.get(grasp.settled)?;
+    let (gripped, held) = (start.finger_separation(), eef_in_object(start));
+    // A release can end in the next grasp. Until then, the object comes to rest.
+    let next = demo.segmented.segments.iter().skip(grasp.segment + 1);
+    let end = next
+        .filter(|next| next.segment.mode == Mode::Transfer)
+        .find_map(|next| {
+            next.settled_frame
+                .filter(|settled| *settled > grasp.frames.end + RELEASING)
+        })
+        .unwrap_or(frames.len());
+    let last = frames.len() - 1;
+    let free = (grasp.frames.end..end.min(grasp.frames.end + RELEASING)).find(|&frame| {
         frames
             .get(frame)
-            .is_some_and(|f| f.finger_separation() > gripped + LET_GO)
+            .is_some_and(|f| f.finger_separation() > gripped + LET_GO || (eef_in_object(f) - held).norm() > limits.lost)
     })?;
-    let rest = rest(evidence, free, end).min(frames.len() - 1);
+    let rest = rest(evidence, free, end).min(last);
     let place = frames.get(rest)?.object.translation.vector;
+    let height = |frame: &SpatialFrame| frame.object.translation.z;
+    let highest = frames
+        .get(grasp.frames.end..=free)?
+        .iter()
+        .map(height)
+        .fold(f64::NEG_INFINITY, f64::max);
     Some(Release {
         frame: grasp.frames.end,
         rest,
-        fall: opened.object.translation.z - place.z,
+        fall: highest - place.z,
         place,
+        sideways: sideways(frames, grasp.frames.end),
     })
 }

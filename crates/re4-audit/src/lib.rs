@@ -6,23 +6,30 @@
 //! the findings of one demonstration each; [`audit_copies`] compares demonstrations and needs only the results of the first
 //! pass. Demonstrations can be dropped from memory between the passes.
 
+mod actions;
 mod checks;
 mod common;
 mod config;
+mod copies;
 mod finding;
 mod grasps;
+mod list;
+mod motion;
+mod object;
 mod planar;
 mod runs;
 mod spatial;
 mod tables;
 mod thresholds;
 
-pub use checks::{Applies, Basis, CHECKS, Check, markdown};
-pub use common::audit_copies;
+pub use actions::ActionFit;
+pub use checks::{Applies, Basis, Check, markdown};
 pub use config::{AuditConfig, AuditError};
+pub use copies::{Path, audit_copies};
 pub use finding::{Finding, Severity};
 pub use grasps::{GraspLimits, GraspOutcome, JudgedGrasp};
+pub use list::CHECKS;
 pub use planar::{PlanarDemo, audit_planar, contact_and_motion, observe_planar};
 pub use spatial::{SpatialAudit, SpatialDemo, audit_spatial, observe_spatial};
-pub use tables::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
-pub use thresholds::{Observation, Origin, Threshold, Thresholds};
+pub use tables::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow, RuleAgreementRow};
+pub use thresholds::{Observation, Origin, Threshold, Thresholds, Usual};

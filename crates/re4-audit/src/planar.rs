@@ -5,6 +5,7 @@ use re4_episode::{PlanarEpisode, PlanarFrame};
 use re4_segment::{Evidence, SegmentedEpisode};
 
 use crate::common::{Sink, hash, lengths_and_flicker};
+use crate::copies::Path;
 use crate::finding::Finding;
 use crate::runs::{longest, runs};
 use crate::thresholds::{Observation, Thresholds};
@@ -44,6 +45,13 @@ pub fn observe_planar(demo: &PlanarDemo) -> Observation {
                 .flat_map(|f| state(f).into_iter().chain([f.action.x, f.action.y])),
         ),
         actions: hash(frames.iter().flat_map(|f| [f.action.x, f.action.y])),
+        response: None,
+        path: Path::new(frames.iter().map(|f| {
+            (
+                Vector3::new(f.eef.x, f.eef.y, 0.0),
+                Vector3::new(f.object.x, f.object.y, 0.0),
+            )
+        })),
     }
 }
 
@@ -54,16 +62,14 @@ pub fn audit_planar(demo: &PlanarDemo, thresholds: &Thresholds) -> Vec<Finding> 
     let segments: Vec<_> = demo.segmented.segments.iter().map(|s| s.segment.clone()).collect();
     lengths_and_flicker(&mut sink, &segments, frames.len());
     check_contacts(&demo.segmented.evidence, &mut sink);
-    for (frame, evidence) in demo.segmented.evidence.iter().enumerate() {
-        if let (Some(eef), Some(object)) = (evidence.eef_step, evidence.object_step) {
-            sink.exceeding("discontinuity_eef", frame..frame + 2, eef, |value| {
-                format!("the pusher jumps by {value:.0} px in one step")
-            });
-            sink.exceeding("discontinuity_object", frame..frame + 2, object, |value| {
-                format!("the block jumps by {value:.0} px in one step")
-            });
-        }
-    }
+    let steps =
+        |step: fn(&Evidence) -> Option<f64>| -> Vec<f64> { demo.segmented.evidence.iter().filter_map(step).collect() };
+    sink.bursts("discontinuity_eef", &steps(|e| e.eef_step), |value| {
+        format!("the pusher jumps by {value:.0} px in one step")
+    });
+    sink.bursts("discontinuity_object", &steps(|e| e.object_step), |value| {
+        format!("the block jumps by {value:.0} px in one step")
+    });
     check_stretches(frames, &mut sink);
     let needed = thresholds.over("ends_before_success");
     let best = demo.coverage.iter().copied().reduce(f64::max);

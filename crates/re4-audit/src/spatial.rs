@@ -7,9 +7,13 @@ use nalgebra::Vector3;
 use re4_episode::{Mode, SpatialEpisode, SpatialFrame};
 use re4_segment::SegmentedSpatial;
 
+use crate::actions::{ActionFit, check_actions_and_motion, check_commands, is_idle, saturated_fraction};
 use crate::common::{Sink, hash, lengths_and_flicker};
+use crate::copies::Path;
 use crate::finding::Finding;
-use crate::grasps::{GraspLimits, GraspOutcome, JudgedGrasp, judge, release, rest};
+use crate::grasps::{GraspLimits, GraspOutcome, JudgedGrasp, Release, judge, release, rest};
+use crate::motion::check_motion;
+use crate::object::{check_object_poses, wrong_poses};
 use crate::runs::{longest, runs};
 use crate::thresholds::{Observation, Thresholds};
 
@@ -33,9 +37,6 @@ pub struct SpatialAudit {
     pub grasps: Vec<JudgedGrasp>,
 }
 
-/// A control of at least this magnitude is at its limit, which is 1. The margin allows for rounding in the recording.
-const LIMIT: f64 = 1.0 - 1e-9;
-
 /// Fingers count as moved when the distance between them has changed by more than this, in m.
 const FINGERS_MOVED: f64 = 0.002;
 
@@ -47,7 +48,8 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
     let frames = &demo.episode.frames;
     let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
     let evidence = &demo.segmented.evidence;
-    let grasps = judge(demo, limits);
+    let wrong = wrong_poses(frames, limits);
+    let grasps = judge(demo, limits, &wrong);
     let mut values = vec![
         (
             "discontinuity_eef",
@@ -58,15 +60,17 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
             largest(&mut evidence.iter().filter_map(|e| e.eef_rotation)),
         ),
         ("idle", longest(frames.iter().map(is_idle)) as f64),
-        ("saturated", saturated_fraction(frames)),
+        ("saturated", saturated_fraction(frames, 1)),
+        ("saturated_together", saturated_fraction(frames, 2)),
         ("regrasp", transfers(&grasps) as f64),
     ];
     for grasp in grasps.iter().filter(|grasp| grasp.outcome == GraspOutcome::Held) {
         values.push(("non_rigid_transfer", grasp.residual));
         values.push(("non_rigid_rotation", grasp.residual_rotation));
-        if let Some(release) = release(demo, grasp) {
-            values.push(("dropped", release.fall));
-        }
+    }
+    if let Some(release) = grasps.last().and_then(|grasp| released(demo, grasp, limits)) {
+        values.push(("released_high", release.fall));
+        values.push(("released_moving", release.sideways));
     }
     let rewards: Vec<f64> = frames.iter().filter_map(|frame| frame.reward).collect();
     Observation {
@@ -80,13 +84,21 @@ pub fn observe_spatial(demo: &SpatialDemo, limits: &GraspLimits) -> Observation 
         rewarded: (!rewards.is_empty()).then(|| rewards.iter().any(|reward| *reward > 0.0)),
         recording: hash(frames.iter().flat_map(|f| state(f).into_iter().chain(action(f)))),
         actions: hash(frames.iter().flat_map(action)),
+        response: ActionFit::of(frames),
+        path: Path::new(
+            frames
+                .iter()
+                .map(|frame| (frame.eef.translation.vector, frame.object.translation.vector)),
+        ),
     }
 }
 
 /// The second pass: makes all checks that apply, and reports every value that exceeds its threshold.
 pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &GraspLimits) -> SpatialAudit {
     let mut sink = Sink::new(demo.number, &demo.episode.name, thresholds);
-    let grasps = judge(demo, limits);
+    let frames = &demo.episode.frames;
+    let wrong = wrong_poses(frames, limits);
+    let grasps = judge(demo, limits, &wrong);
     lengths_and_flicker(
         &mut sink,
         &demo
@@ -97,13 +109,15 @@ pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &Grasp
             .collect::<Vec<_>>(),
         demo.episode.frames.len(),
     );
-    check_grasps(demo, &grasps, &mut sink);
+    check_grasps(demo, &grasps, limits, &mut sink);
+    check_object_poses(&wrong, &mut sink);
     check_transit(demo, &mut sink);
     check_fingers(demo, &mut sink);
     check_motion(demo, &mut sink);
-    check_actions(&demo.episode.frames, &mut sink);
-    check_success(&demo.episode.frames, &mut sink);
-    check_seams(&demo.episode.frames, &mut sink);
+    check_actions_and_motion(ActionFit::of(frames).as_ref(), frames, &mut sink);
+    check_commands(frames, &mut sink);
+    check_success(frames, &mut sink);
+    check_seams(frames, &mut sink);
     SpatialAudit {
         findings: sink.findings,
         grasps,
@@ -119,7 +133,7 @@ fn transfers(grasps: &[JudgedGrasp]) -> usize {
         .count()
 }
 
-fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>) {
+fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], limits: &GraspLimits, sink: &mut Sink<'_>) {
     let all = 0..demo.episode.frames.len();
     if demo.segmented.grasp_frame.is_none() {
         sink.add(
@@ -139,7 +153,7 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>)
             ),
             GraspOutcome::Lost(frame) => sink.add(
                 "lost_grasp",
-                frame..grasp.frames.end,
+                grasp.slip.start..grasp.frames.end,
                 distance_from_grasp(demo, grasp, frame),
                 format!(
                     "the object leaves the gripper at frame {frame}, but the command to close lasts until frame {}",
@@ -147,7 +161,7 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>)
                 ),
             ),
             GraspOutcome::Held => {
-                sink.exceeding("non_rigid_transfer", grasp.frames.clone(), grasp.residual, |value| {
+                sink.exceeding("non_rigid_transfer", grasp.slip.clone(), grasp.residual, |value| {
                     format!("the object slips in the gripper by {:.1} mm", 1e3 * value)
                 });
                 sink.exceeding(
@@ -159,7 +173,11 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], sink: &mut Sink<'_>)
                 // A grasp that continues in the next segment has not ended in a release.
                 let continues = grasps.get(place + 1).is_some_and(|next| next.continues);
                 if !continues {
-                    check_release(demo, grasp, sink);
+                    let again = grasps
+                        .iter()
+                        .skip(place + 1)
+                        .any(|next| next.outcome != GraspOutcome::Brief);
+                    check_release(demo, grasp, limits, again, sink);
                 }
             }
             GraspOutcome::Brief => {}
@@ -209,11 +227,39 @@ fn distance_from_grasp(demo: &SpatialDemo, grasp: &JudgedGrasp, frame: usize) ->
         .reduce(f64::max)
 }
 
-fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, sink: &mut Sink<'_>) {
-    let Some(release) = release(demo, grasp) else { return };
-    let frames = release.frame..(release.rest + 1).min(demo.episode.frames.len());
-    sink.exceeding("dropped", frames.clone(), release.fall, |value| {
+/// The release after a held grasp, if the grasp is one and is followed by a release.
+fn released(demo: &SpatialDemo, grasp: &JudgedGrasp, limits: &GraspLimits) -> Option<Release> {
+    (grasp.outcome == GraspOutcome::Held)
+        .then(|| release(demo, grasp, limits))
+        .flatten()
+}
+
+/// Judges a release by the height of the fall and by what follows: `again` states whether the gripper closes again.
+fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, limits: &GraspLimits, again: bool, sink: &mut Sink<'_>) {
+    let all = &demo.episode.frames;
+    let Some(release) = release(demo, grasp, limits) else {
+        return;
+    };
+    let frames = release.frame..(release.rest + 1).min(all.len());
+    let failed = sink.thresholds.rewards && !succeeds_at_end(all);
+    if again || failed {
+        let then = if again {
+            "the gripper closes again"
+        } else {
+            "the demonstration ends without success"
+        };
+        sink.exceeding("dropped", frames.clone(), release.fall, |value| {
+            format!("the object falls {:.0} mm after its release, and {then}", 1e3 * value)
+        });
+    }
+    sink.exceeding("released_high", frames.clone(), release.fall, |value| {
         format!("the object falls {:.0} mm after its release", 1e3 * value)
+    });
+    sink.exceeding("released_moving", frames.clone(), release.sideways, |value| {
+        format!(
+            "the gripper is commanded to open while it moves sideways by {:.1} mm per step",
+            1e3 * value
+        )
     });
     if let Some(end) = sink.thresholds.usual_end {
         sink.exceeding("early_release", frames, (release.place - end).norm(), |value| {
@@ -223,6 +269,15 @@ fn check_release(demo: &SpatialDemo, grasp: &JudgedGrasp, sink: &mut Sink<'_>) {
             )
         });
     }
+}
+
+/// Number of frames at the end of a recording in one of which a success is rewarded.
+const LAST_FRAMES: usize = 3;
+
+/// Whether the demonstration is rewarded at its end.
+fn succeeds_at_end(frames: &[SpatialFrame]) -> bool {
+    let last = frames.iter().rev().take(LAST_FRAMES);
+    last.filter_map(|frame| frame.reward).any(|reward| reward > 0.0)
 }
 
 fn check_transit(demo: &SpatialDemo, sink: &mut Sink<'_>) {
@@ -310,61 +365,6 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
     }
 }
 
-fn check_motion(demo: &SpatialDemo, sink: &mut Sink<'_>) {
-    let frames = &demo.episode.frames;
-    let evidence = &demo.segmented.evidence;
-    for (frame, evidence) in evidence.iter().enumerate() {
-        let (Some(eef), Some(object), Some(rotation)) =
-            (evidence.eef_step, evidence.object_step, evidence.eef_rotation)
-        else {
-            continue;
-        };
-        // The step is from this frame to the next one.
-        let around = frame..frame + 2;
-        sink.exceeding("discontinuity_eef", around.clone(), eef, |value| {
-            format!("the end effector jumps by {:.0} mm in one step", 1e3 * value)
-        });
-        sink.exceeding("discontinuity_object", around.clone(), object, |value| {
-            format!("the object jumps by {:.0} mm in one step", 1e3 * value)
-        });
-        sink.exceeding("discontinuity_rotation", around, rotation, |value| {
-            format!(
-                "the end effector rotates by {:.0} degrees in one step",
-                value.to_degrees()
-            )
-        });
-    }
-    let same = frames
-        .iter()
-        .zip(frames.iter().skip(1))
-        .map(|(now, next)| state(now) == state(next));
-    let minimum = sink.thresholds.over("frozen");
-    for run in runs(same, 1) {
-        // A run of n steps spans n + 1 frames.
-        let stretch = run.start..run.end + 1;
-        if stretch.len() as f64 >= minimum {
-            let length = stretch.len();
-            sink.add(
-                "frozen",
-                stretch,
-                Some(length as f64),
-                format!("exactly the same state in {length} consecutive frames"),
-            );
-        }
-    }
-}
-
-fn check_actions(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
-    for run in runs(frames.iter().map(is_idle), 1) {
-        sink.exceeding("idle", run.clone(), run.len() as f64, |value| {
-            format!("no arm action in {value} consecutive frames")
-        });
-    }
-    sink.exceeding("saturated", 0..frames.len(), saturated_fraction(frames), |value| {
-        format!("a control is at its limit in {:.0} % of the frames", 1e2 * value)
-    });
-}
-
 fn check_success(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
     let best = frames.iter().filter_map(|frame| frame.reward).reduce(f64::max);
     let needed = sink.thresholds.over("ends_before_success");
@@ -376,6 +376,15 @@ fn check_success(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
             Some(best),
             "no frame has a reward above 0, but frames of other demonstrations have".to_owned(),
         );
+    }
+    let last = frames
+        .iter()
+        .rposition(|frame| frame.reward.is_some_and(|reward| reward > needed));
+    if let Some(last) = last {
+        let lost = last + 1..frames.len();
+        sink.exceeding("success_lost", lost.clone(), lost.len() as f64, |value| {
+            format!("the last reward is at frame {last}; the {value} frames after it have none")
+        });
     }
 }
 
@@ -396,32 +405,28 @@ fn check_seams(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
         .filter(|(_, (now, next))| (goal(next) - goal(now)).norm() > PI)
         .map(|(frame, _)| frame)
         .collect();
-    for (what, crossings) in [
+    let recorded_goals = sink.thresholds.recorded_goals;
+    for (what, crossings, matters) in [
         (
             "the quaternion of the end effector changes its sign",
             flips(|f| &f.eef.rotation),
+            true,
         ),
         (
             "the quaternion of the object changes its sign",
             flips(|f| &f.object.rotation),
+            true,
         ),
-        ("the rotation vector of the goal passes pi", passes),
+        ("the rotation vector of the goal passes pi", passes, recorded_goals),
     ] {
-        sink.seam(what, &crossings);
+        if matters {
+            sink.seam(what, &crossings);
+        }
     }
 }
 
-fn is_idle(frame: &SpatialFrame) -> bool {
-    frame.delta.iter().all(|part| *part == 0.0)
-}
-
-fn saturated_fraction(frames: &[SpatialFrame]) -> f64 {
-    let at_limit = |frame: &&SpatialFrame| frame.delta.iter().any(|part| part.abs() >= LIMIT);
-    frames.iter().filter(at_limit).count() as f64 / frames.len().max(1) as f64
-}
-
 /// Returns the poses (position, then quaternion x, y, z, w) of end effector and object, and the finger positions.
-fn state(frame: &SpatialFrame) -> [f64; 16] {
+pub(crate) fn state(frame: &SpatialFrame) -> [f64; 16] {
     let mut values = [0.0; 16];
     let pose = |pose: &nalgebra::Isometry3<f64>| {
         let (t, q) = (pose.translation.vector, pose.rotation.coords);

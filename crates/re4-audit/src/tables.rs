@@ -5,13 +5,15 @@ use std::ops::Range;
 
 use nalgebra::Isometry3;
 use re4_artifact::{Label, Word, table};
+use re4_episode::Mode;
+use re4_segment::Rule;
 
 use crate::{Finding, GraspOutcome, Severity};
 
 table! {
     /// One row per finding: what looks wrong, in which frames, and which value was compared with which threshold. Sorted by
     /// episode, first frame and code.
-    #[table("findings", version = 2)]
+    #[table("findings", version = 3)]
     pub struct FindingRow {
         /// Number of the finding in this artifact, from 0.
         pub finding: u32,
@@ -37,6 +39,13 @@ table! {
         /// episode and its number. Null in older artifacts.
         #[since = 2]
         pub demo_name: Option<String>,
+        /// Number of the other demonstration that the finding is about, such as the original of a copy; null if there is none,
+        /// and in older artifacts.
+        #[since = 3]
+        pub other_episode: Option<u32>,
+        /// Name of that demonstration in its source.
+        #[since = 3]
+        pub other_demo: Option<String>,
     }
 }
 
@@ -54,6 +63,8 @@ impl FindingRow {
             unit: found.unit.into(),
             message: found.message.clone(),
             demo_name: Some(found.demo.clone()),
+            other_episode: found.other,
+            other_demo: found.other_demo.clone(),
         }
     }
 }
@@ -115,6 +126,50 @@ table! {
         pub warnings: u32,
         /// Number of findings of severity note.
         pub notes: u32,
+    }
+}
+
+table! {
+    /// One row per demonstration with a gripper and rule of segmentation: how far the modes by the rule agree with those of the
+    /// artifact. Sorted by episode and rule.
+    #[table("rule_agreement", version = 1)]
+    pub struct RuleAgreementRow {
+        /// Number of the demonstration in this artifact, from 0.
+        pub episode: u32,
+        /// Name of the demonstration in its source.
+        pub demo: String,
+        /// The rule: gripper_command, grasp, evidence or rigid_motion.
+        pub rule: Label,
+        /// Whether it is the rule of the pipeline.
+        pub configured: bool,
+        /// Number of frames in transfer by the rule.
+        pub transfer_frames: usize,
+        /// First transfer frame by the rule; null if there is none.
+        pub first_transfer: Option<usize>,
+        /// Fraction of the frames with the same mode as by the pipeline's rule.
+        pub agreement: f64,
+        /// Intersection over union of the transfer frames of the two rules; null if neither has any.
+        pub overlap: Option<f64>,
+    }
+}
+
+impl RuleAgreementRow {
+    /// Compares the modes by a rule with those of the artifact.
+    pub fn new(episode: u32, demo: &str, rule: Rule, configured: bool, modes: &[Mode], own: &[Mode]) -> Self {
+        let transfer = |mode: &Mode| *mode == Mode::Transfer;
+        let pairs = || modes.iter().zip(own);
+        let both = pairs().filter(|(a, b)| transfer(a) && transfer(b)).count();
+        let either = pairs().filter(|(a, b)| transfer(a) || transfer(b)).count();
+        Self {
+            episode,
+            demo: demo.to_owned(),
+            rule: rule.as_str().into(),
+            configured,
+            transfer_frames: modes.iter().filter(|mode| transfer(mode)).count(),
+            first_transfer: modes.iter().position(|mode| transfer(mode)),
+            agreement: pairs().filter(|(a, b)| a == b).count() as f64 / modes.len().max(1) as f64,
+            overlap: (either > 0).then(|| both as f64 / either as f64),
+        }
     }
 }
 

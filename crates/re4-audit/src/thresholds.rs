@@ -1,12 +1,16 @@
 //! Thresholds of the checks, each with its origin.
 
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
 
-use crate::checks::{Basis, CHECKS, Check, ENOUGH};
+use crate::actions::ActionFit;
+use crate::checks::{Basis, Check, ENOUGH};
 use crate::config::AuditConfig;
-use re4_stats::{median, outer_fence, robust_deviation};
+use crate::copies::{Path, nearest_distances};
+use crate::list::CHECKS;
+use re4_stats::{median, quantile, robust_deviation, sorted};
 
 /// The origin of a threshold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +66,35 @@ pub struct Observation {
     pub recording: [u8; 32],
     /// Hash of all actions.
     pub actions: [u8; 32],
+    /// How the end effector follows its actions; `None` for Push-T, and if it hardly moves.
+    pub response: Option<ActionFit>,
+    /// The path of end effector and object.
+    pub path: Path,
+}
+
+/// How the end effectors of most demonstrations follow their actions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Usual {
+    /// Median lag in frames.
+    pub lag: f64,
+    /// Median gain in m per step.
+    pub gain: f64,
+}
+
+impl Usual {
+    /// The medians over the demonstrations whose actions explain most of the motion. `None` if these are too few, or fewer than
+    /// half of all.
+    fn of(observations: &[Observation]) -> Option<Self> {
+        let all = observations.iter().filter_map(|observation| observation.response);
+        let explained: Vec<ActionFit> = all.clone().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
+        if explained.len() < ENOUGH || 2 * explained.len() <= all.count() {
+            return None;
+        }
+        let lags: Vec<f64> = explained.iter().filter_map(|fit| fit.lag).collect();
+        let gains: Vec<f64> = explained.iter().map(|fit| fit.gain).collect();
+        let (lag, gain) = (median(&lags)?, median(&gains)?);
+        (gain > 0.0).then_some(Self { lag, gain })
+    }
 }
 
 /// The thresholds of all checks that apply to a dataset, and the dataset's statistics that checks compare with.
@@ -77,6 +110,12 @@ pub struct Thresholds {
     pub(crate) length_deviation: f64,
     /// Whether any demonstration has a reward above 0.
     pub(crate) rewards: bool,
+    /// How the end effectors of most demonstrations follow their actions; `None` if that is not clear.
+    pub(crate) usual_response: Option<Usual>,
+    /// Medians of the largest steps (m) and rotations (rad) of the end effector in one step.
+    pub(crate) top_speed: (f64, f64),
+    /// Whether absolute actions were recorded.
+    pub(crate) recorded_goals: bool,
 }
 
 impl Thresholds {
@@ -94,15 +133,42 @@ impl Thresholds {
                 values.entry("early_release").or_default().push(distance);
             }
         }
+        let usual_response = Usual::of(observations);
+        if let Some(usual) = usual_response {
+            let fits = observations.iter().filter_map(|observation| observation.response);
+            for (code, value) in fits.flat_map(|fit| fit.values(&usual)) {
+                values.entry(code).or_default().push(value);
+            }
+        }
+        values.insert("near_duplicate", nearest_distances(observations));
+        let middle = |code| values.get(code).and_then(|values| median(values)).unwrap_or_default();
+        let top_speed = (middle("discontinuity_eef"), middle("discontinuity_rotation"));
         let lengths: Vec<f64> = observations.iter().map(|o| f64::from(o.frames)).collect();
+        let rewards = observations.iter().any(|o| o.rewarded == Some(true));
+        let length_deviation = robust_deviation(&lengths).unwrap_or(0.0);
+        // Checks whose measure does not exist in this dataset.
+        let unmeasured = |code: &str| match code {
+            "ends_before_success" | "success_lost" if !planar && !rewards => {
+                Some("no demonstration has a reward above 0")
+            }
+            "outlier_length" if length_deviation == 0.0 => Some("most demonstrations have the same number of frames"),
+            "reversed" | "actions_opposed" | "actions_scaled" | "actions_shifted" | "actions_unrelated"
+                if usual_response.is_none() =>
+            {
+                Some("the actions explain most of the motion in fewer than half of the demonstrations, or in too few")
+            }
+            _ => None,
+        };
         let by_code = CHECKS
             .iter()
             .filter(|check| check.applies_to(planar))
             .map(|check| {
                 let observed = values.get(check.code).map_or(&[] as &[f64], Vec::as_slice);
-                let threshold = config
-                    .threshold(check.code)
-                    .map_or_else(|| derive(check, observed, planar, closed), |value| set(check, value));
+                let threshold = match (config.threshold(check.code), unmeasured(check.code)) {
+                    (Some(value), _) => set(check, value),
+                    (None, Some(why)) => not_made(why),
+                    (None, None) => derive(check, observed, planar, closed),
+                };
                 (check.code, threshold)
             })
             .collect();
@@ -111,9 +177,19 @@ impl Thresholds {
             by_code,
             usual_end,
             usual_length: median(&lengths).unwrap_or(0.0),
-            length_deviation: robust_deviation(&lengths).unwrap_or(0.0),
-            rewards: observations.iter().any(|o| o.rewarded == Some(true)),
+            length_deviation,
+            rewards,
+            usual_response,
+            top_speed,
+            recorded_goals: true,
         }
+    }
+
+    /// States whether absolute actions were recorded. Otherwise, seams of goals are not reported.
+    #[must_use]
+    pub fn with_recorded_goals(mut self, recorded: bool) -> Self {
+        self.recorded_goals = recorded;
+        self
     }
 
     /// Whether the dataset is planar.
@@ -156,20 +232,39 @@ fn set(check: &Check, value: f64) -> Threshold {
     }
 }
 
-fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Threshold {
-    let constant = |value: Option<f64>, derivation: String| Threshold {
+fn constant(value: Option<f64>, derivation: String) -> Threshold {
+    Threshold {
         value,
         origin: Origin::Default,
         derivation,
         made: true,
-    };
-    let data = |value: f64, derivation: String| Threshold {
+    }
+}
+
+fn data(value: f64, derivation: String) -> Threshold {
+    Threshold {
         value: Some(value),
         origin: Origin::Data,
         derivation,
         made: true,
-    };
-    let count = observed.len();
+    }
+}
+
+fn not_made(why: &str) -> Threshold {
+    Threshold {
+        value: None,
+        origin: Origin::Data,
+        derivation: format!("not made: {why}"),
+        made: false,
+    }
+}
+
+fn too_few(minimum: f64, count: usize, of: &str) -> Threshold {
+    let why = format!("the minimum; {count} {of} are too few to derive a threshold");
+    constant(Some(minimum), why)
+}
+
+fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Threshold {
     let pick = |spatial, flat| if planar { flat } else { spatial };
     match check.basis {
         Basis::Nothing => constant(None, "the check has no threshold".to_owned()),
@@ -190,56 +285,84 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
         },
         Basis::Fence {
             of,
+            whisker,
             spatial,
             planar: flat,
             small,
+            most,
         } => {
-            let minimum = pick(spatial, flat);
-            match outer_fence(observed).filter(|_| count >= ENOUGH) {
-                Some(fence) if fence > minimum => data(fence, format!("Q3 + 3 (Q3 - Q1) of {count} {of}")),
-                Some(fence) => constant(
-                    Some(minimum),
-                    format!("the minimum; Q3 + 3 (Q3 - Q1) of {count} {of} is only {fence:.4}"),
-                ),
-                None if small => constant(
-                    Some(minimum),
-                    format!("the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-                None => Threshold {
-                    value: None,
-                    origin: Origin::Data,
-                    derivation: format!("not made: {count} {of} are too few to derive a threshold"),
-                    made: false,
-                },
+            let (minimum, count) = (pick(spatial, flat), observed.len());
+            let rule = format!("Q3 + {whisker} (Q3 - Q1) of {count} {of}");
+            match fence(observed, whisker).filter(|_| count >= ENOUGH) {
+                Some(fence) if fence > most => not_made(&format!("{rule} is {fence:.4}, which no fault would exceed")),
+                Some(fence) if fence > minimum => data(fence, rule),
+                Some(fence) => constant(Some(minimum), format!("the minimum; {rule} is only {fence:.4}")),
+                None if small => too_few(minimum, count, of),
+                None => not_made(&format!("{count} {of} are too few to derive a threshold")),
             }
         }
+        Basis::Share { of, minimum } => of_shares(observed, of, minimum),
+        Basis::Nearest { spatial, planar: flat } => of_nearest(observed, pick(spatial, flat)),
         Basis::Multiple {
             of,
             factor,
             spatial,
             planar: flat,
-        } => {
-            let minimum = pick(spatial, flat);
-            match median(observed).filter(|_| count >= ENOUGH) {
-                Some(middle) if factor * middle > minimum => {
-                    data(factor * middle, format!("{factor} times the median of {count} {of}"))
-                }
-                Some(middle) => constant(
-                    Some(minimum),
-                    format!(
-                        "the minimum; {factor} times the median of {count} {of} is only {:.4}",
-                        factor * middle
-                    ),
-                ),
-                None if factor == 1.0 => constant(
-                    Some(minimum),
-                    format!("the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-                None => constant(
-                    Some(2.0 * minimum),
-                    format!("twice the minimum; {count} {of} are too few to derive a threshold"),
-                ),
-            }
-        }
+        } => of_median(observed, of, factor, pick(spatial, flat)),
     }
+}
+
+/// The threshold of [`Basis::Share`].
+fn of_shares(observed: &[f64], of: &str, minimum: f64) -> Threshold {
+    let count = observed.len();
+    let angles = observed.iter().map(|share| share.clamp(0.0, 1.0).sqrt().asin());
+    let rule = format!("Q3 + 1.5 (Q3 - Q1), on the scale of arcsin(sqrt(share)), of {count} {of}");
+    let fence = fence(&angles.collect::<Vec<_>>(), 1.5).filter(|_| count >= ENOUGH);
+    match fence {
+        Some(fence) if fence >= FRAC_PI_2 => not_made(&format!("{rule} is above 1, so that no value exceeds it")),
+        Some(fence) if fence.sin().powi(2) > minimum => data(fence.sin().powi(2), rule),
+        Some(_) => constant(Some(minimum), format!("the minimum; {rule} is less")),
+        None => too_few(minimum, count, of),
+    }
+}
+
+/// The threshold of [`Basis::Nearest`].
+fn of_nearest(observed: &[f64], minimum: f64) -> Threshold {
+    let count = observed.len();
+    let values = sorted(observed.iter().copied());
+    let quartiles = quantile(&values, 0.25).zip(quantile(&values, 0.75));
+    let of = "distances to the nearest other demonstration";
+    let rule = format!("Q1 (Q1 / Q3)^3, but at most Q1 / 2, of {count} {of}");
+    // Scenes on a regular grid have equal distances, which are no copies.
+    let fence = quartiles.map(|(low, high)| low * (low / high).powi(3).min(0.5));
+    match fence.filter(|_| count >= ENOUGH) {
+        Some(fence) if fence > minimum => data(fence, rule),
+        Some(_) => constant(Some(minimum), format!("the minimum; {rule} is less")),
+        None => too_few(minimum, count, of),
+    }
+}
+
+/// The threshold of [`Basis::Multiple`].
+fn of_median(observed: &[f64], of: &str, factor: f64, minimum: f64) -> Threshold {
+    let count = observed.len();
+    let rule = format!("{factor} times the median of {count} {of}");
+    match median(observed).filter(|_| count >= ENOUGH) {
+        Some(middle) if factor * middle > minimum => data(factor * middle, rule),
+        Some(middle) => constant(
+            Some(minimum),
+            format!("the minimum; {rule} is only {:.4}", factor * middle),
+        ),
+        None if factor == 1.0 => too_few(minimum, count, of),
+        None => constant(
+            Some(2.0 * minimum),
+            format!("twice the minimum; {count} {of} are too few to derive a threshold"),
+        ),
+    }
+}
+
+/// Q3 + `whisker` (Q3 - Q1). `None` if there are no values or one is NaN.
+fn fence(values: &[f64], whisker: f64) -> Option<f64> {
+    let values = sorted(values.iter().copied());
+    let (low, high) = (quantile(&values, 0.25)?, quantile(&values, 0.75)?);
+    Some(high + whisker * (high - low))
 }

@@ -1,6 +1,7 @@
 //! Basic types that all stages share: modes, frames, episodes and segments. This crate does no input or output.
 
 mod names;
+pub mod pace;
 mod spatial;
 
 use std::fmt;

@@ -25,6 +25,7 @@ mod search;
 mod spatial;
 mod tables;
 mod tree;
+pub mod trim;
 
 pub use linear::retrieve_linear;
 pub use metric::{AngleMetric, Normalization, Range};

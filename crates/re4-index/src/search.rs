@@ -1,5 +1,6 @@
 //! The planar index: a tree of boxes gives lower bounds, so that only demonstrations that can win are evaluated.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use re4_episode::Mode;
@@ -29,6 +30,8 @@ pub struct SearchStatistics {
 /// Frames of one mode, grouped by demonstration, with their coordinates in columns.
 struct ModeIndex {
     mode: Mode,
+    /// The number of every demonstration, in ascending order.
+    numbers: Vec<u32>,
     /// For every demonstration, the range of its frames in `position` and `columns`.
     demos: Vec<Range<usize>>,
     /// Position of every frame in `RetrievalIndex::frames`.
@@ -106,6 +109,20 @@ impl RetrievalIndex {
         Ok(self.retrieve_counted(query, epsilon)?.0)
     }
 
+    /// Performs the lookup of [`Self::retrieve`] as if the demonstrations in `without` were not indexed. The normalisation stays that
+    /// of the whole index. Returns `None` if no other demonstration has a frame of the query's mode.
+    ///
+    /// # Errors
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
+    pub fn retrieve_without(
+        &self,
+        query: &Query,
+        epsilon: f64,
+        without: &BTreeSet<u32>,
+    ) -> Result<Option<Retrieved>, IndexError> {
+        Ok(self.search(query, epsilon, without)?.0)
+    }
+
     /// Performs the lookup of [`Self::retrieve`] and also returns its cost.
     ///
     /// # Errors
@@ -115,6 +132,15 @@ impl RetrievalIndex {
         query: &Query,
         epsilon: f64,
     ) -> Result<(Option<Retrieved>, SearchStatistics), IndexError> {
+        self.search(query, epsilon, &BTreeSet::new())
+    }
+
+    fn search(
+        &self,
+        query: &Query,
+        epsilon: f64,
+        without: &BTreeSet<u32>,
+    ) -> Result<(Option<Retrieved>, SearchStatistics), IndexError> {
         let q = self.normalization.query(query);
         if !in_bounds(&q) {
             return Err(IndexError::QueryNotFinite);
@@ -122,7 +148,10 @@ impl RetrievalIndex {
         let Some(mode) = self.modes.iter().find(|m| m.mode == query.mode) else {
             return Ok((None, SearchStatistics::default()));
         };
-        let (best, statistics) = mode.search(&q, epsilon, self.normalization.period());
+        let (best, statistics) = mode.search(&q, epsilon, self.normalization.period(), without);
+        let Some(best) = best else {
+            return Ok((None, statistics));
+        };
         let frame = &self.frames[mode.position[best.frame] as usize];
         let retrieved = Retrieved {
             episode: frame.episode,
@@ -146,6 +175,7 @@ struct Stage1 {
 impl ModeIndex {
     fn build(mode: Mode, frames: &[IndexedFrame], normalization: &Normalization) -> Option<Self> {
         let mut demos: Vec<Range<usize>> = Vec::new();
+        let mut numbers = Vec::new();
         let mut position = Vec::new();
         let mut columns: [Vec<f64>; 5] = std::array::from_fn(|_| Vec::new());
         let mut episode = None;
@@ -153,7 +183,10 @@ impl ModeIndex {
             let here = position.len();
             match demos.last_mut() {
                 Some(demo) if episode == Some(frame.episode) => demo.end = here + 1,
-                _ => demos.push(here..here + 1),
+                _ => {
+                    demos.push(here..here + 1);
+                    numbers.push(frame.episode);
+                }
             }
             episode = Some(frame.episode);
             position.push(at as u32);
@@ -174,6 +207,7 @@ impl ModeIndex {
         let tree = PoseTree::build(poses.collect());
         Some(Self {
             mode,
+            numbers,
             demos,
             position,
             columns,
@@ -211,23 +245,39 @@ impl ModeIndex {
         chosen
     }
 
-    /// Finds the demonstration that wins stage 2.
+    /// Finds the demonstration that wins stage 2 among those that are not in `without`, or `None` if there is none.
     ///
     /// The first pass over the tree finds the demonstration that has the frame with the smallest `d_o`. Its stage 1 result bounds
     /// the answer. The second pass evaluates every other demonstration that has a frame within this bound. No other demonstration
     /// can win, because the `d_o` of a stage 1 result is never smaller than the minimum `d_o` of its demonstration.
-    fn search(&self, q: &[f64; 5], epsilon: f64, period: f64) -> (Stage1, SearchStatistics) {
+    fn search(
+        &self,
+        q: &[f64; 5],
+        epsilon: f64,
+        period: f64,
+        without: &BTreeSet<u32>,
+    ) -> (Option<Stage1>, SearchStatistics) {
         let mut statistics = SearchStatistics::default();
-        let mut nearest = 0;
+        // Bit set of the demonstrations that are left out or have been evaluated.
+        let mut seen = vec![0u64; self.demos.len().div_ceil(64)];
+        for number in without {
+            if let Ok(demo) = self.numbers.binary_search(number) {
+                seen[demo / 64] |= 1 << (demo % 64);
+            }
+        }
+        let mut nearest = None;
         self.tree.visit(q, period, f64::INFINITY, |distances, demos, reach| {
             statistics.frames_evaluated += FAN as u32;
             for (&distance, &demo) in distances.iter().zip(demos) {
-                if distance < *reach {
+                if distance < *reach && seen[demo as usize / 64] & (1 << (demo % 64)) == 0 {
                     *reach = distance;
-                    nearest = demo;
+                    nearest = Some(demo);
                 }
             }
         });
+        let Some(nearest) = nearest else {
+            return (None, statistics);
+        };
         let mut scratch = Vec::new();
         let mut evaluate = |demo: u32, statistics: &mut SearchStatistics| {
             statistics.demos_evaluated += 1;
@@ -235,8 +285,6 @@ impl ModeIndex {
             self.stage1(demo, q, epsilon, period, &mut scratch)
         };
         let mut best = evaluate(nearest, &mut statistics);
-        // Bit set of the demonstrations that have been evaluated.
-        let mut seen = vec![0u64; self.demos.len().div_ceil(64)];
         seen[nearest as usize / 64] |= 1 << (nearest % 64);
         self.tree
             .visit(q, period, best.object_squared, |distances, demos, reach| {
@@ -255,6 +303,6 @@ impl ModeIndex {
                     }
                 }
             });
-        (best, statistics)
+        (Some(best), statistics)
     }
 }

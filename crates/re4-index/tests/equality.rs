@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::collections::BTreeSet;
 use std::f64::consts::{PI, TAU};
 
 use common::{Random, agreed, bits, coordinates, frame, query};
@@ -105,6 +106,40 @@ fn index_and_linear_scan_agree_on_a_hundred_thousand_queries() {
         }
     }
     assert!(answered >= 100_000 && unanswered >= 1000, "{answered}, {unanswered}");
+}
+
+#[test]
+fn leaving_out_demonstrations_at_the_query_is_an_index_without_them_with_the_same_scales() {
+    let mut random = Random::new(3);
+    let shapes = [Shape::Grid, Shape::Scattered, Shape::Walk, Shape::Copies];
+    let mut changed = 0;
+    for set in 0..400 {
+        let frames = demonstrations(&mut random, shapes[set % 4], 12, 12, set % 10 == 0);
+        let index = RetrievalIndex::build(frames.clone(), METRICS[set / 4 % 2]).unwrap();
+        for _ in 0..40 {
+            let query = any_query(&mut random, &frames);
+            let epsilon = random.pick(&EPSILONS);
+            let all = index.retrieve(&query, epsilon).unwrap();
+            let count = random.below(4);
+            let without: BTreeSet<u32> = (0..count).map(|_| random.pick(&frames).episode).collect();
+            let others: Vec<IndexedFrame> = index
+                .frames()
+                .iter()
+                .copied()
+                .filter(|frame| !without.contains(&frame.episode))
+                .collect();
+            let expected = retrieve_linear(&others, index.normalization(), &query, epsilon).unwrap();
+            let found = index.retrieve_without(&query, epsilon, &without).unwrap();
+            assert_eq!(bits(found), bits(expected), "{query:?} without {without:?}");
+            // The lemma on which the influence rests: only the demonstration of the answer matters.
+            if all.is_none_or(|answer| !without.contains(&answer.episode)) {
+                assert_eq!(bits(found), bits(all), "{query:?} without {without:?}");
+            } else {
+                changed += 1;
+            }
+        }
+    }
+    assert!(changed > 1000, "{changed}");
 }
 
 #[test]

@@ -130,6 +130,9 @@ pub struct Episode {
     pub single_precision: Vec<&'static str>,
     /// Descriptions of optional data that was skipped because of invalid values.
     pub skipped: Vec<String>,
+    /// Why it contradicts the conventions that the other demonstrations prove, if it does. It is left out, but its frames can be
+    /// audited.
+    pub contradiction: Option<String>,
 }
 
 /// The frames of a demonstration, of a planar or a spatial task.

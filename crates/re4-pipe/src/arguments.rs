@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use re4_influence::{Aim, By};
 use re4_stages::{Notes, Runner, Seeds, Settings};
 
 /// From robot demonstrations to explainable imitation policies.
@@ -53,6 +54,10 @@ pub(crate) enum Command {
     Run(RolloutArguments),
     /// Compare policies over equal seeds: run the cells of a suite file; writes the `comparison` artifact and an HTML page
     Compare(CompareArguments),
+    /// Compute what changes if each demonstration is left out, exactly; writes the `influence` artifact
+    Influence(InfluenceArguments),
+    /// Choose demonstrations: drop those that harm, judged on other scenes; writes the `curation` artifact
+    Curate(CurateArguments),
     /// Replay the demonstrations' actions open-loop and measure the divergence; writes the `replays` artifact
     Replay(ReplayArguments),
     /// Render rollouts as a GIF video, with the plan and the coverage (Push-T) or the retrieved demonstrations (robosuite)
@@ -94,6 +99,9 @@ impl Command {
             | Self::Audit(AuditArguments { stage, .. })
             | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
             Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
+            Self::Influence(InfluenceArguments { stage, .. }) | Self::Curate(CurateArguments { stage, .. }) => {
+                Some(&stage.common)
+            }
             Self::Compare(CompareArguments { common, .. })
             | Self::Video(VideoArguments { common, .. })
             | Self::Verify(VerifyArguments { common, .. })
@@ -196,12 +204,9 @@ pub(crate) enum FailOn {
     Warning,
 }
 
-/// Arguments of `rollout` and `run`.
+/// Settings of rollouts that several commands have.
 #[derive(Debug, Clone, Args)]
-pub(crate) struct RolloutArguments {
-    /// Arguments of all stages.
-    #[command(flatten)]
-    pub(crate) stage: StageArguments,
+pub(crate) struct RolledArguments {
     /// Seeds of the scenes, such as 500..600 (600 is excluded) or 3,7; same as --set rollout.seeds=...
     #[arg(long, value_name = "SEEDS")]
     pub(crate) seeds: Option<String>,
@@ -215,6 +220,147 @@ pub(crate) struct RolloutArguments {
         help = "Maximum length of an episode in control steps; same as --set rollout.max_steps=..."
     )]
     pub(crate) max_steps: Option<u32>,
+}
+
+impl RolledArguments {
+    /// Reads the pipeline and applies the overrides.
+    pub(crate) fn runner(&self, stage: &StageArguments) -> Result<Runner> {
+        // A value of an override as a string, whatever it looks like.
+        let text = |value: &str| format!("\"{}\"", value.replace(['"', '\\'], ""));
+        let seeds = self
+            .seeds
+            .as_deref()
+            .map(|seeds| format!("rollout.seeds={}", text(seeds)));
+        let kind = self.policy.as_deref().map(kind_override);
+        let steps = self.max_steps.map(|steps| format!("rollout.max_steps={steps}"));
+        let overrides: Vec<String> = [seeds, kind, steps].into_iter().flatten().collect();
+        stage.runner(&overrides)
+    }
+}
+
+/// The override that `--policy` stands for.
+pub(crate) fn kind_override(policy: &str) -> String {
+    format!("policy.kind=\"{}\"", policy.replace(['"', '\\'], ""))
+}
+
+/// Arguments of `influence`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct InfluenceArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Settings of rollouts.
+    #[command(flatten)]
+    pub(crate) rolled: RolledArguments,
+    /// Also judge each demonstration on N scenes that start from its own first state, perturbed
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub(crate) starts: u32,
+    /// Roll out all scenes without each of N demonstrations and compare; exit with code 1 if an episode differs
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) check: usize,
+    /// Also write an HTML page about the influence
+    #[arg(long, value_name = "OUT.html")]
+    pub(crate) html: Option<PathBuf>,
+}
+
+/// Arguments of `curate`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct CurateArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Settings of the rollouts that the choice is made on.
+    #[command(flatten)]
+    pub(crate) rolled: RolledArguments,
+    /// What demonstrations are ranked by
+    #[arg(long, value_enum, default_value_t = ByArgument::Combined)]
+    pub(crate) by: ByArgument,
+    /// What the choice aims at
+    #[arg(long, value_enum, default_value_t = AimArgument::Harmful)]
+    pub(crate) aim: AimArgument,
+    /// Also choose on N scenes per demonstration that start from its own first state, perturbed
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub(crate) starts: u32,
+    /// Seeds to judge the choice on, other than those of the rollouts it is made on
+    #[arg(long, value_name = "SEEDS")]
+    pub(crate) judge: Option<Seeds>,
+    /// Number of random sets of the same size that are judged, too
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=100))]
+    pub(crate) random: u32,
+    /// Also compute the learning curve: the best demonstrations, and as many random ones
+    #[arg(long)]
+    pub(crate) curve: bool,
+    /// Also write the names of the kept demonstrations, one per line
+    #[arg(long, value_name = "OUT.txt")]
+    pub(crate) keep_list: Option<PathBuf>,
+    /// Also write the choice as a setting for the pipeline file
+    #[arg(long, value_name = "OUT.toml")]
+    pub(crate) setting: Option<PathBuf>,
+    /// HDF5 files: also write a copy of the dataset with the choice as a filter key; the copy must not exist
+    #[arg(long, value_name = "OUT.hdf5")]
+    pub(crate) mask: Option<PathBuf>,
+    /// Name of the filter key below /mask
+    #[arg(long, value_name = "NAME", default_value = "curated", requires = "mask")]
+    pub(crate) filter_key: String,
+    /// Also write an HTML page about the choice
+    #[arg(long, value_name = "OUT.html")]
+    pub(crate) html: Option<PathBuf>,
+}
+
+/// What `curate` ranks demonstrations by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ByArgument {
+    /// The results of the episodes that follow a demonstration.
+    Influence,
+    /// The findings of the audit.
+    Audit,
+    /// Scores of the demonstrations, such as their duration.
+    Scores,
+    /// All of these.
+    Combined,
+}
+
+impl ByArgument {
+    pub(crate) fn by(self) -> By {
+        match self {
+            Self::Influence => By::Influence,
+            Self::Audit => By::Audit,
+            Self::Scores => By::Scores,
+            Self::Combined => By::Combined,
+        }
+    }
+}
+
+/// What `curate` aims at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum AimArgument {
+    /// Drop demonstrations as long as that makes episodes better.
+    Harmful,
+    /// Drop only demonstrations on which no episode depends.
+    Redundant,
+    /// Also drop demonstrations as long as episodes stay as good, up to a standard error.
+    Smallest,
+}
+
+impl AimArgument {
+    pub(crate) fn aim(self) -> Aim {
+        match self {
+            Self::Harmful => Aim::Harmful,
+            Self::Redundant => Aim::Redundant,
+            Self::Smallest => Aim::Smallest,
+        }
+    }
+}
+
+/// Arguments of `rollout` and `run`.
+#[derive(Debug, Clone, Args)]
+pub(crate) struct RolloutArguments {
+    /// Arguments of all stages.
+    #[command(flatten)]
+    pub(crate) stage: StageArguments,
+    /// Settings of rollouts.
+    #[command(flatten)]
+    pub(crate) rolled: RolledArguments,
     /// Also write an HTML page about the rollouts, as re4-pipe report does
     #[arg(long, value_name = "OUT.html")]
     pub(crate) report: Option<PathBuf>,

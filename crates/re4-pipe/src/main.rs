@@ -42,6 +42,8 @@ fn main() -> ExitCode {
         Command::Scenes(arguments) => commands::run::scenes(&arguments),
         Command::Rollout(arguments) => commands::run::rollout(&arguments),
         Command::Run(arguments) => commands::run::run(&arguments),
+        Command::Curate(arguments) => commands::curate::curate(&arguments),
+        Command::Influence(arguments) => commands::influence::influence(&arguments),
         Command::Compare(arguments) => commands::compare::compare(&arguments),
         Command::Replay(arguments) => commands::run::replay(&arguments),
         Command::Video(arguments) => commands::video::video(&arguments),

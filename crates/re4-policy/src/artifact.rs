@@ -1,6 +1,6 @@
 //! Loads the data of policies from an `index` artifact.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use re4_artifact::Artifact;
 use re4_episode::{DemoNames, PlanarFrame};
@@ -106,11 +106,14 @@ pub(crate) fn open_spatial_index(
     names: DemoNames,
 ) -> Result<SpatialKnowledge, OpenError> {
     let mut demos: Vec<(u32, Vec<SpatialDemoFrame>)> = Vec::new();
+    let mut recorded: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     let mut excluded = BTreeSet::new();
     for row in artifact.read::<IndexRow<SpatialState>>()? {
+        let numbers = recorded.entry(row.episode).or_default();
         if row.retrievable == Some(false) {
-            excluded.insert((row.episode, row.frame));
+            excluded.insert((row.episode, numbers.len() as u32));
         }
+        numbers.push(row.frame);
         let frame = SpatialDemoFrame {
             eef: row.state.eef,
             object: row.state.object,
@@ -123,10 +126,11 @@ pub(crate) fn open_spatial_index(
             None => demos.push((row.episode, vec![frame])),
         }
     }
-    Ok(SpatialKnowledge::new(
+    let knowledge = SpatialKnowledge::new(
         SpatialDemoSet::new(demos).with_names(names),
         retrieve,
         symmetry,
         |demo, frame| excluded.contains(&(demo, frame)),
-    )?)
+    )?;
+    Ok(knowledge.with_recorded_frames(recorded))
 }

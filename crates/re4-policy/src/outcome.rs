@@ -10,6 +10,7 @@
 //! distance is Euclidean in `(c_x, c_y, r cos θ, r sin θ)`, so a KD-tree over these four numbers finds nearest neighbours
 //! exactly.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -104,6 +105,8 @@ table! {
 pub struct ChunkLibrary {
     body: Body,
     chunks: Vec<Chunk>,
+    /// Number of chunks of every demonstration that has chunks.
+    counts: BTreeMap<u32, usize>,
     tree: ImmutableKdTree<f64, 4>,
 }
 
@@ -165,7 +168,16 @@ impl ChunkLibrary {
         let tree = ImmutableKdTree::new_from_slice(&points).map_err(|error| LookupError::Chunks {
             reason: error.to_string(),
         })?;
-        Ok(Self { body, chunks, tree })
+        let mut counts = BTreeMap::new();
+        for chunk in &chunks {
+            *counts.entry(chunk.demo).or_insert(0) += 1;
+        }
+        Ok(Self {
+            body,
+            chunks,
+            counts,
+            tree,
+        })
     }
 
     /// Returns the body that defines the distance between poses.
@@ -197,5 +209,26 @@ impl ChunkLibrary {
             .into_iter()
             .map(|(d, i)| (d.sqrt(), self.chunks[i as usize]))
             .collect()
+    }
+
+    /// Returns the number of chunks of the demonstrations that are not in `without`.
+    pub fn len_without(&self, without: &BTreeSet<u32>) -> usize {
+        let left_out = without.iter().filter_map(|demo| self.counts.get(demo));
+        self.len() - left_out.sum::<usize>()
+    }
+
+    /// As [`Self::nearest`], as if the library had no chunks of the demonstrations in `without`.
+    pub fn nearest_without(&self, wanted: Pose2, count: NonZeroUsize, without: &BTreeSet<u32>) -> Vec<(f64, Chunk)> {
+        let left = count.get().min(self.len_without(without));
+        let mut asked = count;
+        loop {
+            let mut found = self.nearest(wanted, asked);
+            found.retain(|(_, chunk)| !without.contains(&chunk.demo));
+            if found.len() >= left {
+                found.truncate(left);
+                return found;
+            }
+            asked = asked.saturating_add(asked.get());
+        }
     }
 }

@@ -1,16 +1,18 @@
 //! The planar RE4 loop (paper, Algorithm 1), executed one control step at a time.
 
+mod choose;
+
 use std::collections::{BTreeSet, VecDeque};
-use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use rand_pcg::Pcg64;
 use re4_episode::{Mode, PlanarFrame};
 use re4_geometry::{Point2, Pose2};
 use re4_index::{Query, RetrievalIndex};
-use re4_rollout::{Act, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses};
+use re4_rollout::{Act, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses, Trace};
 use re4_sim::{GOAL, coverage};
 
+use self::choose::{Choice, Found, Situation};
 use crate::LookupError;
 use crate::config::{PolicyConfig, Selector, Tracking};
 use crate::decision::Decision;
@@ -21,19 +23,6 @@ use crate::pusher::{PusherModel, PusherState};
 use crate::reframe::{Reframed, reframe, without_reframe};
 use crate::replan::{Plan, PlanKind, plan, waypoints};
 use crate::workspace::Workspace;
-
-/// Number of chunks, in ascending order of cost, for which a path is planned before the search is widened.
-const MAX_PLANS: usize = 8;
-
-/// The same limit for the chunks that a widened search adds.
-const MAX_PLANS_WIDENED: usize = 128;
-
-/// Factor by which the number of candidates grows if none of them can be executed: 8.
-const WIDENING_FACTOR: NonZeroUsize = NonZeroUsize::MIN.saturating_add(7);
-
-/// Maximum depth in pixels to which the recorded motion may move the block into a wall, in addition to the depth at which it
-/// already is. Tuned on randomly sampled blocks in corners (`tests/walls.rs`).
-const WALL_TOLERANCE: f64 = 30.0;
 
 /// Maximum deviation in pixels of the legs of a replayed path from the recorded path.
 const CORNER_TOLERANCE: f64 = 0.5;
@@ -79,6 +68,7 @@ pub struct Re4 {
     /// Starts of chunks, as (demonstration, frame), whose replay did not move the object as recorded. They are not selected
     /// again.
     ineffective: BTreeSet<(u32, u32)>,
+    trace: Trace,
     step: u32,
 }
 
@@ -87,13 +77,6 @@ struct Trial {
     chunk: Chunk,
     /// Object pose at the decision.
     before: Pose2,
-}
-
-/// A chunk with the path to its start.
-struct Choice {
-    chunk: Chunk,
-    reframed: Reframed,
-    connection: Plan,
 }
 
 /// The result of a selector.
@@ -122,18 +105,6 @@ fn demo_frames(demos: &DemoSet<PlanarFrame>, demo: u32, frame: u32) -> Result<&[
         })
 }
 
-/// Returns whether the block stays clear of the walls if it moves from `block` as recorded in `chunk`. The demonstration does not
-/// predict what happens at a wall.
-fn stays_inside(workspace: Workspace, frames: &[PlanarFrame], chunk: &Chunk, block: Pose2) -> bool {
-    let limit = workspace.depth_in_walls(block) + WALL_TOLERANCE;
-    let carry = block.delta_from(frames[0].object);
-    let length = (chunk.end - chunk.start) as usize;
-    frames
-        .iter()
-        .take(length + 1)
-        .all(|frame| workspace.depth_in_walls(carry.compose(frame.object)) <= limit)
-}
-
 impl Re4 {
     /// Creates the policy for an episode. `seed` seeds the sampling of the planner.
     pub fn new(config: PolicyConfig, knowledge: Arc<Knowledge>, seed: u64) -> Self {
@@ -152,7 +123,17 @@ impl Re4 {
             expected: Vec::new(),
             trial: None,
             ineffective: BTreeSet::new(),
+            trace: Trace::default(),
             step: 0,
+        }
+    }
+
+    /// The same policy without some of its demonstrations, which reports what its decisions depend on.
+    #[must_use]
+    pub fn without(self, without: &Arc<BTreeSet<u32>>) -> Self {
+        Self {
+            trace: Trace::without(without),
+            ..self
         }
     }
 }
@@ -170,6 +151,10 @@ impl PolicyFactory<Plane> for Re4Factory {
 
     fn start(&self, seed: u32, _: &Point2) -> Re4 {
         Re4::new(self.config.clone(), Arc::clone(&self.knowledge), u64::from(seed))
+    }
+
+    fn start_without(&self, seed: u32, first: &Point2, without: &Arc<BTreeSet<u32>>) -> Option<Re4> {
+        Some(self.start(seed, first).without(without))
     }
 }
 
@@ -206,6 +191,10 @@ impl Policy<Plane> for Re4 {
             self.unsettled = latency;
         }
         Ok(self.send(phase, pusher, target, decision, object, latency))
+    }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
     }
 }
 
@@ -288,8 +277,11 @@ impl Re4 {
         };
         let found = knowledge
             .index
-            .retrieve(&query, self.config.retrieve.epsilon)?
+            .retrieve_without(&query, self.config.retrieve.epsilon, self.trace.left_out())?
             .ok_or(LookupError::NoFrameOfMode { mode })?;
+        // Stage 2 takes a minimum over demonstrations, each with its own frame of stage 1: without another demonstration than
+        // the one with the minimum, the minimum is the same.
+        self.trace.consider([found.episode]);
         let frames = demo_frames(&knowledge.demos, found.episode, found.frame)?;
         let end = found.frame + self.frames_within_horizon(frames) as u32 - 1;
         let (reframed, connection) = self.connect(mode, &frames[0], pusher, block);
@@ -306,34 +298,24 @@ impl Re4 {
     }
 
     fn decide_outcome(&mut self, mode: Mode, pusher: PusherState, block: Pose2) -> Result<Decision, LookupError> {
-        let knowledge = Arc::clone(&self.knowledge);
-        let chunks = knowledge.chunks.as_ref().ok_or(LookupError::NoChunks)?;
-        // The motion, in the object frame, that would bring the object to its goal.
-        let wanted = block.inverse().compose(GOAL);
-        let mut count = NonZeroUsize::new(self.config.retrieve.candidates).unwrap_or(NonZeroUsize::MIN);
-        let mut candidates = chunks.nearest(wanted, count);
-        let mut compared = candidates.len();
-        let mut found = self.cheapest(&candidates, MAX_PLANS, mode, pusher, block)?;
-        // If none of the best candidates can be executed, for example because the block is in a corner, widen the search. A chunk
-        // with a worse outcome can move the block to where better ones can be executed.
-        let mut fallback = None;
-        while let Some((_, false)) = &found {
-            fallback = fallback.or(found);
-            if compared >= chunks.len() {
-                found = None;
-                break;
-            }
-            count = count.saturating_mul(WIDENING_FACTOR);
-            candidates = chunks.nearest(wanted, count);
-            found = self.cheapest(&candidates[compared..], MAX_PLANS_WIDENED, mode, pusher, block)?;
-            compared = candidates.len();
+        let at = Situation { mode, pusher, block };
+        let before = self.trace.is_on().then(|| self.random.clone());
+        let without = self.trace.left_out().clone();
+        let found = self.choose(&at, &without)?;
+        if let Some(before) = before {
+            self.trace_choice(&at, &found, &before)?;
         }
-        let (chosen, _) = found.or(fallback).ok_or(LookupError::NoChunks)?;
-        let Choice {
-            chunk,
-            reframed,
-            connection,
-        } = chosen;
+        let Found {
+            choice:
+                Choice {
+                    chunk,
+                    reframed,
+                    connection,
+                    ..
+                },
+            compared,
+            ..
+        } = found;
         self.trial = Some(Trial { chunk, before: block });
         let selected = Selected {
             demo: chunk.demo,
@@ -345,53 +327,6 @@ impl Re4 {
             connection,
         };
         self.carry_out(selected, mode, pusher, block)
-    }
-
-    /// Returns the cheapest reachable candidate with `true`. If none is reachable, returns the cheapest candidate with `false`,
-    /// and `None` if there are no candidates. At most `plans` paths are planned.
-    fn cheapest(
-        &mut self,
-        candidates: &[(f64, Chunk)],
-        plans: usize,
-        mode: Mode,
-        pusher: PusherState,
-        block: Pose2,
-    ) -> Result<Option<(Choice, bool)>, LookupError> {
-        let knowledge = Arc::clone(&self.knowledge);
-        let mut ranked: Vec<(f64, Chunk)> = Vec::with_capacity(candidates.len());
-        for (misalignment, chunk) in candidates {
-            let failed_before = self.ineffective.contains(&(chunk.demo, chunk.start));
-            let cost = if failed_before {
-                f64::INFINITY
-            } else {
-                self.cost(*misalignment, chunk, pusher, block)?
-            };
-            ranked.push((cost, *chunk));
-        }
-        // The sort is stable, so candidates of equal cost stay in the order of their misalignment.
-        ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut first = None;
-        let mut planned = 0;
-        for (cost, chunk) in ranked {
-            let frames = demo_frames(&knowledge.demos, chunk.demo, chunk.start)?;
-            let possible = cost.is_finite() && stays_inside(self.workspace, frames, &chunk, block);
-            if planned == plans || (!possible && first.is_some()) {
-                continue;
-            }
-            let (reframed, connection) = self.connect(mode, &frames[0], pusher, block);
-            planned += 1;
-            let reached = possible && connection.kind != PlanKind::Failed;
-            let choice = Choice {
-                chunk,
-                reframed,
-                connection,
-            };
-            if reached {
-                return Ok(Some((choice, true)));
-            }
-            first = first.or(Some((choice, false)));
-        }
-        Ok(first)
     }
 
     /// Performs Reframe and Replan for a chunk that starts at `frame`.
@@ -483,27 +418,6 @@ impl Re4 {
             predicted_coverage: coverage(predicted, GOAL),
             compared: compared as u32,
         })
-    }
-
-    /// Returns the cost of a chunk: its expected misalignment plus the cost of moving to its start and of executing it. Infinite
-    /// if the chunk leaves the workspace.
-    fn cost(&self, misalignment: f64, chunk: &Chunk, pusher: PusherState, block: Pose2) -> Result<f64, LookupError> {
-        let rest = demo_frames(&self.knowledge.demos, chunk.demo, chunk.start)?;
-        let carry = block.delta_from(rest[0].object);
-        let near = carry.transform_point(rest[0].eef);
-        // Keep the path of the pusher at least 10 px inside the workspace.
-        let reachable = |p: Point2| self.workspace.contains(p, 10.0);
-        let length = (chunk.end - chunk.start) as usize;
-        let inside = rest
-            .iter()
-            .take(length + 1)
-            .all(|f| reachable(carry.transform_point(f.eef)));
-        if !inside {
-            return Ok(f64::INFINITY);
-        }
-        let steps =
-            (near - pusher.position).norm() / self.config.replan.spacing + chunk.travel / self.config.replay.speed;
-        Ok(misalignment + self.config.retrieve.step_cost * steps + self.config.retrieve.motion_cost * chunk.pushed)
     }
 
     fn queue_plan(&mut self, connection: &Plan) -> usize {

@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
 
 use common::{LONGEST, OUTLINE, Random, distance_to_tee, scripted};
@@ -52,6 +53,29 @@ fn a_shorter_limit_gives_the_chunks_within_it() {
     let short = collect_chunks(&demos, 12);
     let expected: Vec<Chunk> = all.into_iter().filter(|c| c.end - c.start <= 12).collect();
     assert_eq!(short, expected);
+}
+
+#[test]
+#[expect(clippy::unwrap_used, reason = "a panic is how a test fails")]
+fn leaving_out_demonstrations_at_the_query_is_a_library_without_them() {
+    let (_, chunks) = chunks();
+    let all = ChunkLibrary::build(chunks.clone()).unwrap();
+    for without in [vec![], vec![0], vec![2, 5], vec![0, 1, 2, 3, 4, 5, 6]] {
+        let without: BTreeSet<u32> = without.into_iter().collect();
+        let rest: Vec<Chunk> = chunks.iter().copied().filter(|c| !without.contains(&c.demo)).collect();
+        assert_eq!(all.len_without(&without), rest.len());
+        let library = ChunkLibrary::build(rest).unwrap();
+        for number in 0..20 {
+            let wanted = Pose2::new(f64::from(number) * 7.3 - 60.0, 31.1, f64::from(number) * 0.31);
+            for count in [1, 10, 300, 100_000] {
+                let count = NonZeroUsize::new(count).unwrap();
+                let distances = |found: Vec<(f64, Chunk)>| found.into_iter().map(|(d, _)| d).collect::<Vec<_>>();
+                let found = all.nearest_without(wanted, count, &without);
+                assert!(found.iter().all(|(_, chunk)| !without.contains(&chunk.demo)));
+                assert_eq!(distances(found), distances(library.nearest(wanted, count)));
+            }
+        }
+    }
 }
 
 #[test]

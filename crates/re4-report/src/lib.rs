@@ -8,6 +8,7 @@ mod video;
 pub use sources::audit::{AuditSources, audit_page};
 pub use sources::comparison::comparison_page;
 pub use sources::findings::Findings;
+pub use sources::influence::{curation_page, influence_page};
 pub use sources::plane::{planar_rollout, planar_videos};
 pub use sources::report::{AddImages, LARGE_PAGE, ReportPage, open_rollouts, report_page};
 pub use sources::space::{scene_rollout, spatial_rollouts};

@@ -22,6 +22,7 @@ mod scene_renderer;
 mod senses;
 mod tables;
 mod times;
+mod trace;
 
 pub use conditions::{AppliedDisturbance, Conditions, Displaced, Displacement, Disturbance, Disturbed};
 pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
@@ -37,3 +38,4 @@ pub use tables::{
     SpaceDecisionRow, SpaceResultRow, SpaceStepRow, SpaceWorldRow, StepCore, tables,
 };
 pub use times::ActTimes;
+pub use trace::{Job, Trace, Traced};

@@ -1,8 +1,10 @@
 //! The policy interface: observations in, one action per control step out.
 
 use re4_fault::Remedy;
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::fmt::Debug;
+use std::sync::Arc;
 
 use thiserror::Error;
 
@@ -70,6 +72,12 @@ pub trait Policy<D: Domain> {
     /// # Errors
     /// If the policy has no action, or a requested observation is not available.
     fn act(&mut self, senses: &mut dyn Senses<D>) -> Result<Act<D, Self::Decision>, PolicyError>;
+
+    /// The demonstrations without which a decision of the episode so far might have been another one; `None` if the policy does not
+    /// know them. See [`Trace`](crate::Trace).
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        None
+    }
 }
 
 /// Starts a policy for every episode.
@@ -89,6 +97,13 @@ pub trait PolicyFactory<D: Domain>: Sync {
     /// Creates the policy for an episode. `first` is the proprioception after the reset. `seed` identifies the scene; a policy
     /// that uses random numbers must derive them from `seed` so that rollouts are reproducible.
     fn start(&self, seed: u32, first: &D::Proprio) -> Self::Policy;
+
+    /// Creates the policy for an episode without some demonstrations. The policy reports what its decisions depend on, see
+    /// [`Policy::considered`]. Everything that is derived from all demonstrations, such as the ranges that normalise states, stays
+    /// as it is with all of them. `None` if that is not possible, for instance because a network was trained on them.
+    fn start_without(&self, _seed: u32, _first: &D::Proprio, _without: &Arc<BTreeSet<u32>>) -> Option<Self::Policy> {
+        None
+    }
 }
 
 /// An error that prevents a policy from acting.

@@ -5,8 +5,10 @@ use re4_episode::DemoNames;
 use re4_fault::Remedy;
 use thiserror::Error;
 
+use crate::trace::traced;
 use crate::{
-    DecisionCore, Domain, Harness, Policy, PolicyFactory, Recorded, ResultCore, RolloutError, Start, StepCore, rollouts,
+    DecisionCore, Domain, Harness, Job, Policy, PolicyFactory, Recorded, ResultCore, RolloutError, Start, StepCore,
+    Traced, rollouts,
 };
 
 /// A decision record that can be written to tables.
@@ -71,6 +73,13 @@ pub trait Opened<D: Recorded>: Sync {
     /// # Errors
     /// If the table cannot be written.
     fn begin<'a>(&'a self, writer: &Writer) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError>;
+
+    /// Rolls out episodes, each without its own set of demonstrations, and reports what each depends on. Nothing is written. Returns
+    /// `None` if the policy cannot do without single demonstrations, as learned policies cannot.
+    ///
+    /// # Errors
+    /// If a rollout fails, see [`rollouts`].
+    fn traced(&self, harness: &Harness<'_, '_, D>, jobs: &[Job<D>]) -> Result<Option<Vec<Traced>>, RolloutError>;
 }
 
 /// Rolls out a policy and writes its policy-specific table.
@@ -119,6 +128,10 @@ where
             episodes: 0,
             details: writer.rows()?,
         }))
+    }
+
+    fn traced(&self, harness: &Harness<'_, '_, D>, jobs: &[Job<D>]) -> Result<Option<Vec<Traced>>, RolloutError> {
+        traced(&self.factory, harness, jobs)
     }
 }
 

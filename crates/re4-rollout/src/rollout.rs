@@ -138,73 +138,124 @@ pub fn rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
     max_steps: u32,
     conditions: &Conditions,
 ) -> Result<RolloutOf<D, F>, RolloutError> {
-    timed_rollout(factory, env, source, start, max_steps, conditions, &ActTimes::default())
+    let run = Run {
+        max_steps,
+        conditions,
+        times: &ActTimes::default(),
+    };
+    let begin = |seed, first: &D::Proprio| Some(factory.start(seed, first));
+    let done = run.episode(&begin, env, source, start)?;
+    // A factory always starts its policy.
+    done.map(|(rollout, _)| rollout).ok_or(RolloutError::Interrupted)
 }
 
-/// As [`rollout`], and adds the wall time of every call of the policy to `times` at the end of the episode.
-fn timed_rollout<D: Domain, F: PolicyFactory<D> + ?Sized>(
-    factory: &F,
-    env: &mut dyn Env<D>,
-    source: Source<D>,
-    start: Start<D>,
-    max_steps: u32,
-    conditions: &Conditions,
-    times: &ActTimes,
-) -> Result<RolloutOf<D, F>, RolloutError> {
-    let mut calls = Vec::new();
-    let scene = start.seed;
-    let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
-    let first = env.reset(&start.scene).map_err(refused(0))?;
-    let observed_from_world = D::observed_from_world(&start.scene);
-    let world_from_observed = observed_from_world.as_ref().map(D::inverse);
-    let mut senses = Sensing::new(env, source, observed_from_world, conditions.latency);
-    let mut disturber = conditions
-        .disturbance
-        .map(|disturbance| Disturber::new(disturbance, scene));
-    let mut policy = factory.start(scene, &senses.proprio());
-    let mut steps: Vec<StepRecord<D>> = Vec::new();
-    let mut decisions = Vec::new();
-    for step in 0..max_steps as usize {
-        if let Some(disturber) = &mut disturber {
-            disturber.before_step(step as u32, senses.env).map_err(refused(step))?;
-        }
-        senses.begin();
-        let before = Instant::now();
-        let act = policy
-            .act(&mut senses)
-            .map_err(|source| RolloutError::Policy { scene, step, source })?;
-        calls.push((before.elapsed(), act.decision.is_some()));
-        decisions.extend(act.decision);
-        let (action, object) = match &world_from_observed {
-            Some(motion) => (
-                D::action_in_world(motion, &act.action),
-                act.object.map(|pose| D::pose_in(motion, &pose)),
-            ),
-            None => (act.action, act.object),
-        };
-        let after = senses.env.step(&action).map_err(refused(step))?;
-        let asked = senses.finish();
-        steps.push(StepRecord {
-            seen: asked.object.map(|observed| observed.pose).or(object),
-            asked,
-            action,
-            phase: act.phase,
-            // The last decision so far. Steps before the first decision count to decision 0.
-            decision: (decisions.len() as u32).saturating_sub(1),
-            after,
-        });
-        if D::success(&after) {
-            break;
-        }
+/// Rolls out an episode in the environment that a harness makes for it. Returns `None` if `begin` starts no policy, otherwise the
+/// rollout and the policy after it.
+#[expect(clippy::type_complexity, reason = "a rollout with its policy")]
+pub(crate) fn timed_rollout<D: Domain, P: Policy<D>>(
+    begin: &dyn Fn(u32, &D::Proprio) -> Option<P>,
+    harness: &Harness<'_, '_, D>,
+    start: &Start<D>,
+) -> Result<Option<(Rollout<D, P::Decision>, P)>, RolloutError> {
+    let refused = |source| RolloutError::Simulator {
+        scene: start.seed,
+        step: 0,
+        source,
+    };
+    let mut env = (harness.env)(start).map_err(refused)?;
+    let run = Run {
+        max_steps: harness.max_steps,
+        conditions: &harness.conditions,
+        times: harness.times,
+    };
+    let episode = run.episode(begin, env.as_mut(), (harness.source)(start.seed), start.clone())?;
+    if (harness.progress)() {
+        Ok(episode)
+    } else {
+        Err(RolloutError::Interrupted)
     }
-    times.add(&calls);
-    Ok(Rollout {
-        start,
-        first,
-        steps,
-        decisions,
-        disturbance: disturber.and_then(|disturber| disturber.applied()),
-    })
+}
+
+/// What all episodes of a run share.
+struct Run<'a> {
+    max_steps: u32,
+    conditions: &'a Conditions,
+    times: &'a ActTimes,
+}
+
+impl Run<'_> {
+    /// Rolls out one episode, and adds the wall time of every call of the policy to the times at its end.
+    #[expect(clippy::type_complexity, reason = "a rollout with its policy")]
+    fn episode<D: Domain, P: Policy<D>>(
+        &self,
+        begin: &dyn Fn(u32, &D::Proprio) -> Option<P>,
+        env: &mut dyn Env<D>,
+        source: Source<D>,
+        start: Start<D>,
+    ) -> Result<Option<(Rollout<D, P::Decision>, P)>, RolloutError> {
+        let Self {
+            max_steps,
+            conditions,
+            times,
+        } = *self;
+        let mut calls = Vec::new();
+        let scene = start.seed;
+        let refused = |step| move |source| RolloutError::Simulator { scene, step, source };
+        let first = env.reset(&start.scene).map_err(refused(0))?;
+        let observed_from_world = D::observed_from_world(&start.scene);
+        let world_from_observed = observed_from_world.as_ref().map(D::inverse);
+        let mut senses = Sensing::new(env, source, observed_from_world, conditions.latency);
+        let mut disturber = conditions
+            .disturbance
+            .map(|disturbance| Disturber::new(disturbance, scene));
+        let Some(mut policy) = begin(scene, &senses.proprio()) else {
+            return Ok(None);
+        };
+        let mut steps: Vec<StepRecord<D>> = Vec::new();
+        let mut decisions = Vec::new();
+        for step in 0..max_steps as usize {
+            if let Some(disturber) = &mut disturber {
+                disturber.before_step(step as u32, senses.env).map_err(refused(step))?;
+            }
+            senses.begin();
+            let before = Instant::now();
+            let act = policy
+                .act(&mut senses)
+                .map_err(|source| RolloutError::Policy { scene, step, source })?;
+            calls.push((before.elapsed(), act.decision.is_some()));
+            decisions.extend(act.decision);
+            let (action, object) = match &world_from_observed {
+                Some(motion) => (
+                    D::action_in_world(motion, &act.action),
+                    act.object.map(|pose| D::pose_in(motion, &pose)),
+                ),
+                None => (act.action, act.object),
+            };
+            let after = senses.env.step(&action).map_err(refused(step))?;
+            let asked = senses.finish();
+            steps.push(StepRecord {
+                seen: asked.object.map(|observed| observed.pose).or(object),
+                asked,
+                action,
+                phase: act.phase,
+                // The last decision so far. Steps before the first decision count to decision 0.
+                decision: (decisions.len() as u32).saturating_sub(1),
+                after,
+            });
+            if D::success(&after) {
+                break;
+            }
+        }
+        times.add(&calls);
+        let rollout = Rollout {
+            start,
+            first,
+            steps,
+            decisions,
+            disturbance: disturber.and_then(|disturber| disturber.applied()),
+        };
+        Ok(Some((rollout, policy)))
+    }
 }
 
 /// A rollout with the decision type of a factory's policies.
@@ -246,25 +297,22 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
     harness: &Harness<'_, '_, D>,
     starts: &[Start<D>],
 ) -> Result<Vec<RolloutOf<D, F>>, RolloutError> {
-    let one = |start: &Start<D>| {
-        let refused = |source| RolloutError::Simulator {
-            scene: start.seed,
-            step: 0,
-            source,
-        };
-        let mut env = (harness.env)(start).map_err(refused)?;
-        let source = (harness.source)(start.seed);
-        let (start, steps, conditions) = (start.clone(), harness.max_steps, &harness.conditions);
-        let episode = timed_rollout(factory, env.as_mut(), source, start, steps, conditions, harness.times)?;
-        if (harness.progress)() {
-            Ok(episode)
-        } else {
-            Err(RolloutError::Interrupted)
-        }
-    };
-    // After an error, no later start is begun, but all earlier starts are completed, so the reported error does not depend on
-    // timing.
-    let (next, end) = (AtomicUsize::new(0), AtomicUsize::new(starts.len()));
+    let begin = |seed, first: &D::Proprio| Some(factory.start(seed, first));
+    // A factory always starts its policy.
+    let one = |start: &Start<D>| Ok(timed_rollout(&begin, harness, start)?.map(|(rollout, _)| rollout));
+    let done = in_parallel(starts, factory.concurrent(), one)?;
+    Ok(done.into_iter().flatten().collect())
+}
+
+/// Does `one` for every job on as many threads as the current rayon thread pool has, or as `concurrent` asks for. The results are in
+/// the order of the jobs. Returns the first error in their order.
+pub(crate) fn in_parallel<J: Sync, R: Send>(
+    jobs: &[J],
+    concurrent: Option<usize>,
+    one: impl Fn(&J) -> Result<R, RolloutError> + Sync,
+) -> Result<Vec<R>, RolloutError> {
+    // After an error, no later job is begun, but all earlier ones are completed, so the reported error does not depend on timing.
+    let (next, end) = (AtomicUsize::new(0), AtomicUsize::new(jobs.len()));
     let work = || {
         let mut done = Vec::new();
         loop {
@@ -272,7 +320,7 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
             if at >= end.load(Ordering::Relaxed) {
                 break done;
             }
-            let result = one(&starts[at]);
+            let result = one(&jobs[at]);
             if result.is_err() {
                 end.fetch_min(at, Ordering::Relaxed);
             }
@@ -280,12 +328,12 @@ pub fn rollouts<D: Domain, F: PolicyFactory<D> + ?Sized>(
         }
     };
     let mut done: Vec<_> = std::thread::scope(|scope| {
-        let threads = match (rayon::current_num_threads(), factory.concurrent()) {
+        let threads = match (rayon::current_num_threads(), concurrent) {
             // With one thread, rollouts run one after another, so that the time of an action is that of one rollout.
             (1, _) => 1,
             (threads, concurrent) => concurrent.map_or(threads, |rollouts| rollouts.max(threads)),
         };
-        let threads = threads.min(starts.len());
+        let threads = threads.min(jobs.len());
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         let joined = workers.into_iter().map(|worker| match worker.join() {
             Ok(done) => done,

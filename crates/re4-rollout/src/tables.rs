@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Vector3};
 use re4_artifact::{Label, Row, SixAxis, TableSpec, Word, columns, table};
 use re4_geometry::{Point2, Pose2};
 
-use crate::{ArmState, Displaced, Domain, Phase, Plane, Rollout, Space, StepRecord};
+use crate::{ArmState, Displaced, Domain, Phase, Plane, Rollout, Space, SpaceFirst, StepRecord};
 
 impl Word for Phase {
     const ALL: &'static [Self] = &[Self::Plan, Self::Bridge, Self::Replay, Self::Home];
@@ -308,6 +308,12 @@ pub trait Recorded: Domain {
     /// Builds the row of a rollout.
     fn result_row<X>(core: ResultCore, rollout: &Rollout<Self, X>) -> Self::ResultRow;
 
+    /// The score of a rollout, from 0 to 1: for Push-T the maximum score over its steps, for robosuite tasks 1 if it succeeded.
+    fn score<X>(rollout: &Rollout<Self, X>) -> f64;
+
+    /// Horizontal position of the object after the reset, world frame, px or m.
+    fn start(first: &Self::First) -> [f64; 2];
+
     /// Builds the row of table `worlds`.
     fn world_row<X>(rollout: &Rollout<Self, X>) -> Self::WorldRow;
 
@@ -336,6 +342,14 @@ impl Recorded for Plane {
             score_max: rollout.maximum(|step| step.score),
             coverage_final: rollout.steps.last().map_or(first.coverage, |step| step.after.coverage),
         }
+    }
+
+    fn score<X>(rollout: &Rollout<Self, X>) -> f64 {
+        rollout.maximum(|step| step.score)
+    }
+
+    fn start(first: &Self::First) -> [f64; 2] {
+        [first.observation.block.x, first.observation.block.y]
     }
 
     fn world_row<X>(rollout: &Rollout<Self, X>) -> PlaneWorldRow {
@@ -388,6 +402,15 @@ impl Recorded for Space {
             object: rollout.first.observation.object,
             state: rollout.first.state.clone(),
         }
+    }
+
+    fn score<X>(rollout: &Rollout<Self, X>) -> f64 {
+        f64::from(u8::from(rollout.success()))
+    }
+
+    fn start(first: &SpaceFirst) -> [f64; 2] {
+        let at = first.observation.object.translation;
+        [at.x, at.y]
     }
 
     fn world_row<X>(rollout: &Rollout<Self, X>) -> SpaceWorldRow {

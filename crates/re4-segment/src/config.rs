@@ -47,6 +47,28 @@ pub struct GripperConfig {
     pub closed: f64,
     /// Change of the distance between the fingers, in m per control step, below which they have stopped.
     pub still: f64,
+    /// The frame that is the grasp frame g(d), whose end-effector pose is the anchor.
+    #[serde(skip_serializing_if = "AnchorAt::is_default")]
+    pub anchor: AnchorAt,
+}
+
+/// The frame of a demonstration that is its grasp frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AnchorAt {
+    /// The first transfer frame, as in the paper.
+    #[default]
+    FirstTransfer,
+    /// The first frame that is transfer by the rule `evidence`. A missed grasp does not become the anchor, and the fingers have
+    /// reached the object. If no frame holds the object, the first transfer frame.
+    FirstHold,
+}
+
+impl AnchorAt {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 impl Default for GripperConfig {
@@ -55,6 +77,7 @@ impl Default for GripperConfig {
             command: Command::Last,
             closed: 0.01,
             still: 0.0005,
+            anchor: AnchorAt::default(),
         }
     }
 }
@@ -83,6 +106,34 @@ pub enum Rule {
     RigidMotion,
     /// The paper's rule for robomimic's tasks: a frame is transfer if the gripper is commanded to close, and transit otherwise.
     GripperCommand,
+    /// A frame is transfer while something stops the closed fingers: from the frame at which they have settled on it after a
+    /// command to close, until they let it go or shut. Needs no object pose.
+    Grasp,
+    /// As `grasp`, but only while the recorded object stays where it was in the gripper.
+    Evidence,
+}
+
+impl Rule {
+    /// Whether the rule reads the gripper, which Push-T does not have.
+    pub fn needs_gripper(self) -> bool {
+        matches!(self, Self::GripperCommand | Self::Grasp | Self::Evidence)
+    }
+
+    /// Whether the rule reads recorded object poses.
+    pub fn reads_object(self) -> bool {
+        matches!(self, Self::RigidMotion | Self::Evidence)
+    }
+
+    /// The name in the pipeline file.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::AlwaysTransit => "always_transit",
+            Self::RigidMotion => "rigid_motion",
+            Self::GripperCommand => "gripper_command",
+            Self::Grasp => "grasp",
+            Self::Evidence => "evidence",
+        }
+    }
 }
 
 /// The point of the object whose distance |o, o'| is used in the condition | |x, x'| - |o, o'| | < epsilon.

@@ -85,7 +85,7 @@ columns! {
 /// [`SegmentError::NotFinite`] if a coordinate of a pose is not a finite number.
 pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result<SegmentedEpisode, SegmentError> {
     config.check()?;
-    if config.rule == Rule::GripperCommand {
+    if config.rule.needs_gripper() {
         return Err(SegmentError::NoGripper);
     }
     let frames = &episode.frames;
@@ -99,7 +99,7 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
         .map(|(now, next)| now.step_to(next))
         .collect();
     let modes = match config.rule {
-        Rule::AlwaysTransit | Rule::GripperCommand => vec![Mode::Transit; frames.len()],
+        Rule::AlwaysTransit | Rule::GripperCommand | Rule::Grasp | Rule::Evidence => vec![Mode::Transit; frames.len()],
         Rule::RigidMotion => rigid_motion_modes(frames, config),
     };
     let evidence = frames

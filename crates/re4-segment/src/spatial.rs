@@ -5,8 +5,9 @@ use re4_artifact::columns;
 use re4_episode::{Mode, Segment, SpatialEpisode, SpatialFrame, segments};
 
 use crate::Segmented;
-use crate::config::{Command, GripperConfig, Rule, SegmentConfig};
+use crate::config::{AnchorAt, Command, GripperConfig, Rule, SegmentConfig};
 use crate::error::SegmentError;
+use crate::hold::{Holding, hold_modes};
 use crate::motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
 
 /// Modes, evidence and segments of one demonstration with a gripper.
@@ -140,9 +141,11 @@ pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Resu
         Rule::AlwaysTransit => vec![Mode::Transit; frames.len()],
         Rule::RigidMotion => rigid_motion_modes(&pairs, config),
         Rule::GripperCommand => command_modes(frames, gripper.command),
+        Rule::Grasp => hold_modes(frames, &gripper, Holding::Fingers),
+        Rule::Evidence => hold_modes(frames, &gripper, Holding::Object),
     };
     let evidence = evidence(frames, &steps, config, &gripper);
-    let grasp_frame = modes.iter().position(|&mode| mode == Mode::Transfer);
+    let grasp_frame = grasp_frame(frames, &modes, &gripper);
     let segments = segments(&modes)
         .into_iter()
         .map(|segment| {
@@ -161,6 +164,16 @@ pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Resu
     })
 }
 
+/// The grasp frame by the configured definition; `None` without transfer.
+fn grasp_frame(frames: &[SpatialFrame], modes: &[Mode], gripper: &GripperConfig) -> Option<usize> {
+    let first = |modes: &[Mode]| modes.iter().position(|&mode| mode == Mode::Transfer);
+    let transfer = first(modes)?;
+    match gripper.anchor {
+        AnchorAt::FirstTransfer => Some(transfer),
+        AnchorAt::FirstHold => first(&hold_modes(frames, gripper, Holding::Object)).or(Some(transfer)),
+    }
+}
+
 fn pair(frame: &SpatialFrame) -> SpatialPair {
     SpatialPair {
         eef: frame.eef,
@@ -168,7 +181,7 @@ fn pair(frame: &SpatialFrame) -> SpatialPair {
     }
 }
 
-fn command_modes(frames: &[SpatialFrame], command: Command) -> Vec<Mode> {
+pub(crate) fn command_modes(frames: &[SpatialFrame], command: Command) -> Vec<Mode> {
     let closes = frames.iter().map(SpatialFrame::closes);
     let commands: Vec<bool> = match command {
         Command::Current => closes.collect(),

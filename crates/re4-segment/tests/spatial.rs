@@ -8,7 +8,9 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use re4_episode::{Mode, SpatialEpisode, SpatialFrame};
 use re4_fault::Remedy as _;
-use re4_segment::{Command, GripperConfig, Rule, SegmentConfig, SegmentError, SegmentedSpatial, segment_spatial};
+use re4_segment::{
+    AnchorAt, Command, GripperConfig, Rule, SegmentConfig, SegmentError, SegmentedSpatial, segment_spatial,
+};
 
 /// Width of the object between the fingers.
 const WIDTH: f64 = 0.05;
@@ -125,6 +127,93 @@ fn the_current_command_is_one_frame_ahead() {
     let current = segmented(&scene, &config).modes;
     let last = segmented(&scene, &SegmentConfig::spatial()).modes;
     assert_eq!(current[..current.len() - 1], last[1..]);
+}
+
+fn by(rule: Rule) -> SegmentConfig {
+    SegmentConfig {
+        rule,
+        ..SegmentConfig::spatial()
+    }
+}
+
+/// Frames in transfer.
+fn transfer(segmented: &SegmentedSpatial) -> Vec<usize> {
+    let modes = segmented.modes.iter().enumerate();
+    modes
+        .filter(|(_, mode)| **mode == Transfer)
+        .map(|(frame, _)| frame)
+        .collect()
+}
+
+#[test]
+fn fingers_hold_from_the_contact_until_they_let_go() {
+    // The fingers touch the object at frame 6, and are 1 cm further apart at frame 11.
+    for rule in [Rule::Grasp, Rule::Evidence] {
+        let segmented = segmented(&pick_and_place(), &by(rule));
+        assert_eq!(transfer(&segmented), (6..11).collect::<Vec<_>>(), "{rule:?}");
+        assert_eq!(segmented.grasp_frame, Some(6));
+        assert_eq!(segmented.segments[0].anchor, Some(pick_and_place().frames[6].eef));
+    }
+}
+
+#[test]
+fn an_object_that_leaves_is_not_held_by_the_evidence() {
+    let mut scene = pick_and_place();
+    // From frame 9 on, the object is 3 cm off, but the fingers keep their distance.
+    for frame in &mut scene.frames[9..] {
+        frame.object = moved(0.03, 0.0, 0.0) * frame.object;
+    }
+    assert_eq!(transfer(&segmented(&scene, &by(Rule::Grasp))), [6, 7, 8, 9, 10]);
+    assert_eq!(transfer(&segmented(&scene, &by(Rule::Evidence))), [6, 7, 8]);
+    // A pose that is repeated was not recorded, and is no evidence.
+    let mut scene = pick_and_place();
+    let last = scene.frames[8].object;
+    scene.frames[9..11].iter_mut().for_each(|frame| {
+        frame.object = last;
+        frame.eef = moved(0.03, 0.0, 0.0) * frame.eef;
+    });
+    assert_eq!(transfer(&segmented(&scene, &by(Rule::Evidence))), [6, 7, 8, 9, 10]);
+}
+
+#[test]
+fn a_missed_grasp_is_not_the_anchor_of_the_first_hold() {
+    let grasp = pick_and_place();
+    // Before the grasp, the fingers close on nothing and open again.
+    let mut scene = Scene::new(grasp.frames[0].eef, grasp.frames[0].object);
+    for separation in [0.06, 0.04, 0.02, 0.002, 0.002, 0.002] {
+        scene.step(true, Isometry3::identity(), separation);
+    }
+    for separation in [0.02, 0.04, 0.06, 0.08] {
+        scene.step(false, Isometry3::identity(), separation);
+    }
+    let missed = scene.frames.len() - 1;
+    scene.frames.pop();
+    scene.frames.extend(grasp.frames);
+    let config = |anchor| {
+        let mut config = SegmentConfig::spatial();
+        config.gripper = Some(GripperConfig {
+            anchor,
+            ..GripperConfig::default()
+        });
+        config
+    };
+    let first = segmented(&scene, &config(AnchorAt::FirstTransfer));
+    assert_eq!(first.grasp_frame, Some(1));
+    let held = segmented(&scene, &config(AnchorAt::FirstHold));
+    assert_eq!(held.modes, first.modes, "the anchor does not change the modes");
+    assert_eq!(held.grasp_frame, Some(missed + 6));
+    assert_eq!(held.segments[1].anchor, Some(scene.frames[missed + 6].eef));
+    assert_eq!(
+        transfer(&segmented(&scene, &by(Rule::Grasp))),
+        (missed + 6..missed + 11).collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn default_settings_serialize_as_before() {
+    let text = serde_json::to_value(SegmentConfig::spatial()).unwrap();
+    assert_eq!(text["rule"], "gripper_command");
+    assert!(text["gripper"].get("anchor").is_none());
 }
 
 #[test]

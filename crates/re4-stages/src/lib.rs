@@ -31,7 +31,8 @@ pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, warning_text};
 pub use stages::{
-    BudgetRow, Compared, DivergenceRow, INGEST_WORKER, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence,
-    SpatialReplay, compare, metrics, read_rollouts, serve_ingest,
+    BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
+    PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, metrics, read_rollouts,
+    serve_ingest,
 };
 pub use suite::{Cell, Selection, Suite, read_suite, suite_schema};

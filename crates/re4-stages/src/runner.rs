@@ -157,6 +157,15 @@ impl Built {
 }
 
 impl Runner {
+    /// The same runner in a session of many pipelines.
+    #[must_use]
+    pub fn of_many_pipelines(self) -> Self {
+        Self {
+            session: self.session.of_many_pipelines(),
+            ..self
+        }
+    }
+
     /// Reads the pipeline file, sets up threads and opens the store.
     ///
     /// # Errors

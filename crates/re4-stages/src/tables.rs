@@ -1,15 +1,18 @@
 //! The tables of all artifacts.
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
-use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow};
+use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow, RuleAgreementRow};
 use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
+use re4_influence::{CuratedRow, InfluenceRow, JudgedEpisodeRow, JudgedRow, PairRow, RoundRow};
 use re4_ingest::{
-    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, ModelRow, PlanarColumns, SpatialColumns, StateRow,
+    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, LeftOut, LeftOutFrameRow, ModelRow, PlanarColumns,
+    SpatialColumns, StateRow,
 };
 use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
+use re4_scores::ScoreRow;
 use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 
 use crate::stages::{
@@ -28,6 +31,7 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             DemoRow::table(),
             Convention::table(),
             LeftOut::table(),
+            LeftOutFrameRow::<SpatialColumns>::table(),
             StateRow::table(),
             ModelRow::table(),
         ],
@@ -42,6 +46,8 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             CheckRow::table(),
             AuditedEpisodeRow::table(),
             GraspRow::table(),
+            ScoreRow::table(),
+            RuleAgreementRow::table(),
         ],
         Stage::Index => vec![
             IndexRow::<PlanarState>::table(),
@@ -64,6 +70,8 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             DivergenceRow::<SpatialDivergence>::table(),
         ],
         Stage::Compare => vec![CellRow::table(), DifferenceRow::table(), CurveRow::table()],
+        Stage::Influence => vec![InfluenceRow::table(), JudgedEpisodeRow::table(), PairRow::table()],
+        Stage::Curate => vec![CuratedRow::table(), RoundRow::table(), JudgedRow::table()],
         Stage::TrainPose => vec![
             PoseRow::<Estimate>::table(),
             PoseRow::<SpatialEstimate>::table(),
@@ -190,6 +198,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 53);
+        assert_eq!(names.len(), 62);
     }
 }

@@ -91,6 +91,20 @@ impl SpatialIndex {
         Ok(self.retrieve_counted(query, stage2, banned)?.0)
     }
 
+    /// Performs the lookup of [`Self::retrieve`] as if the demonstrations in `without` were not indexed.
+    ///
+    /// # Errors
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
+    pub fn retrieve_without(
+        &self,
+        query: &SpatialQuery,
+        stage2: Stage2,
+        banned: &BTreeSet<u32>,
+        without: &BTreeSet<u32>,
+    ) -> Result<Option<SpatialRetrieved>, IndexError> {
+        Ok(self.search(query, stage2, banned, without)?.0)
+    }
+
     /// Performs the lookup of [`Self::retrieve`] and also returns its cost.
     ///
     /// # Errors
@@ -101,23 +115,38 @@ impl SpatialIndex {
         stage2: Stage2,
         banned: &BTreeSet<u32>,
     ) -> Result<(Option<SpatialRetrieved>, SearchStatistics), IndexError> {
+        self.search(query, stage2, banned, &BTreeSet::new())
+    }
+
+    fn search(
+        &self,
+        query: &SpatialQuery,
+        stage2: Stage2,
+        banned: &BTreeSet<u32>,
+        without: &BTreeSet<u32>,
+    ) -> Result<(Option<SpatialRetrieved>, SearchStatistics), IndexError> {
         let q = State::new(&query.eef, &query.object).ok_or(IndexError::QueryNotFinite)?;
         let mut statistics = SearchStatistics::default();
         let Some(mode) = self.of_mode(query.mode) else {
             return Ok((None, statistics));
         };
-        let mut skipped = vec![false; mode.demos.len()];
-        for number in banned {
-            if let Ok(at) = mode.demos.binary_search_by_key(number, |(number, _)| *number) {
-                skipped[at] = true;
+        let places = |numbers: &BTreeSet<u32>, skipped: &mut [bool]| {
+            for number in numbers {
+                if let Ok(at) = mode.demos.binary_search_by_key(number, |(number, _)| *number) {
+                    skipped[at] = true;
+                }
             }
-        }
+        };
+        let mut skipped = vec![false; mode.demos.len()];
+        places(banned, &mut skipped);
+        places(without, &mut skipped);
         let mut best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
         // Banned demonstrations count only if no other demonstration has a frame of the mode.
         if best.is_none() {
             for skip in &mut skipped {
                 *skip = !*skip;
             }
+            places(without, &mut skipped);
             best = mode.search(&self.measure, &q, stage2, &skipped, &mut statistics);
         }
         Ok((best, statistics))

@@ -84,6 +84,7 @@ impl PushtSource {
             states: None,
             model: None,
             goal_errors: None,
+            contradiction: None,
             single_precision: Vec::new(),
             skipped: Vec::new(),
         }

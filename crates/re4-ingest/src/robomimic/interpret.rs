@@ -48,6 +48,8 @@ pub struct Interpreted {
     /// Differences (metres, radians) between the recorded absolute actions and those computed from the recorded delta actions,
     /// from the second step on; `None` if only one kind is recorded.
     pub goal_errors: Option<Vec<(f64, f64)>>,
+    /// Why the demonstration contradicts the conventions, if it does but can be read.
+    pub contradiction: Option<String>,
 }
 
 /// Conventions of a file, and what is needed to apply them.
@@ -153,10 +155,11 @@ impl Interpreter {
     }
 
     /// Computes the frames of a demonstration, whose arrays are moved out of it. `other` are actions of the other kind (absolute
-    /// or delta), recorded in another file.
+    /// or delta), recorded in another file. The frames of a demonstration that contradicts the conventions are those that the
+    /// conventions of the file give.
     ///
     /// # Errors
-    /// The demonstration contradicts the conventions.
+    /// The demonstration cannot be read.
     pub fn interpret(
         &self,
         reader: &RobomimicReader,
@@ -175,13 +178,20 @@ impl Interpreter {
         };
         let poses = self.from_states.complete(demo, model.as_deref())?;
         let plain = arrays(demo, &poses, None);
-        self.conventions.check(&plain).map_err(|contradiction| {
-            let why = contradiction.to_string().replace(
-                "allow_actions_beyond_range accepts it",
-                "ingest.conventions.allow_actions_beyond_range = true accepts it",
-            );
-            Hdf5Fault::Other(format!("{why}; {LEAVE_OUT}"))
-        })?;
+        let contradiction = match self.conventions.check(&plain) {
+            Ok(_) => None,
+            Err(contradiction) => {
+                let why = contradiction.to_string().replace(
+                    "allow_actions_beyond_range accepts it",
+                    "ingest.conventions.allow_actions_beyond_range = true accepts it",
+                );
+                let why = format!("{why}; {LEAVE_OUT}");
+                if !contradiction.is_readable() {
+                    return Err(Hdf5Fault::Other(why));
+                }
+                Some(why)
+            }
+        };
         let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
         let sites = poses
             .eef_position
@@ -225,7 +235,11 @@ impl Interpreter {
             }
         };
         let frames = (0..demo.frames).map(frame).collect();
-        Ok(Interpreted { frames, goal_errors })
+        Ok(Interpreted {
+            frames,
+            goal_errors,
+            contradiction,
+        })
     }
 
     /// A recorded quaternion without normalization; its norm has been checked to be near 1.

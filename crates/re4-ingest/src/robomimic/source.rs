@@ -85,15 +85,13 @@ impl RobomimicSource {
 
     /// Interprets a demonstration, or returns why it cannot be used.
     fn episode(&self, name: &DemoName, demo: Result<Demo, LeftOut>) -> Result<Result<Episode, LeftOut>, IngestError> {
-        if let Some(known) = self.excluded.iter().find(|left| left.demo == name.name) {
-            return Ok(Err(known.clone()));
-        }
+        let known = self.excluded.iter().find(|left| left.demo == name.name);
         let mut demo = match demo {
             Ok(demo) => demo,
-            Err(left) => return Ok(Err(left)),
+            Err(left) => return Ok(Err(known.cloned().unwrap_or(left))),
         };
         if let Err(left) = self.reader.check_cameras(&demo, &self.info.cameras)? {
-            return Ok(Err(left));
+            return Ok(Err(known.cloned().unwrap_or(left)));
         }
         let other = match &self.comparison {
             Some(comparison) => comparison.actions(&demo.name, demo.frames)?,
@@ -108,12 +106,13 @@ impl RobomimicSource {
                 model: demo.model,
                 single_precision: demo.single_precision,
                 skipped: demo.skipped,
+                contradiction: known.map(|known| known.why.clone()).or(interpreted.contradiction),
             })),
             Err(error) if error.needs_library() => Err(error),
-            Err(error) => Ok(Err(LeftOut {
+            Err(error) => Ok(Err(known.cloned().unwrap_or_else(|| LeftOut {
                 demo: name.name.clone(),
                 why: error.fault.to_string(),
-            })),
+            }))),
         }
     }
 }

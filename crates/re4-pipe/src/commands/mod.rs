@@ -2,8 +2,10 @@
 
 pub(crate) mod audit;
 pub(crate) mod compare;
+pub(crate) mod curate;
 pub(crate) mod doctor;
 pub(crate) mod fetch;
+pub(crate) mod influence;
 pub(crate) mod inspect;
 #[cfg(feature = "query")]
 pub(crate) mod query;

@@ -51,6 +51,12 @@ impl Written {
     }
 }
 
+/// Pages of a single artifact without settings.
+const PAGES: [(Stage, fn(&Artifact) -> Result<String>); 2] = [
+    (Stage::Influence, re4_report::influence_page),
+    (Stage::Curate, re4_report::curation_page),
+];
+
 /// `re4-pipe report`.
 pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
@@ -63,6 +69,18 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<Outcome> {
         }
         if artifact.manifest().artifact == Stage::Compare.artifact() {
             return report_comparison(&artifact, arguments, &output, console);
+        }
+        for (stage, page) in PAGES {
+            if artifact.manifest().artifact == stage.artifact() {
+                refuse_selection(&artifact, arguments)?;
+                return answer_single(
+                    &artifact,
+                    arguments,
+                    &output,
+                    console,
+                    (stage.as_str(), &page(&artifact)?, &[]),
+                );
+            }
         }
     }
     let shown = Shown {

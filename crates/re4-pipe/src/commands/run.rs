@@ -16,7 +16,7 @@ use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
 use super::{Outcome, report};
-use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments, TrainArguments};
+use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments, TrainArguments, kind_override};
 use crate::console::Console;
 use crate::output::Output;
 use re4_stages::PoseSource;
@@ -142,27 +142,8 @@ pub(crate) fn run(arguments: &RolloutArguments) -> Result<Outcome> {
     answer(console, &runner, &built)
 }
 
-/// A value of an override as a string, whatever it looks like.
-fn text(value: &str) -> String {
-    format!("\"{}\"", value.replace(['"', '\\'], ""))
-}
-
-/// The override that `--policy` stands for.
-fn kind_override(policy: &str) -> String {
-    format!("policy.kind={}", text(policy))
-}
-
 fn runner(arguments: &RolloutArguments) -> Result<Runner> {
-    let mut overrides = Vec::new();
-    overrides.extend(
-        arguments
-            .seeds
-            .as_ref()
-            .map(|seeds| format!("rollout.seeds={}", text(seeds))),
-    );
-    overrides.extend(arguments.policy.as_deref().map(kind_override));
-    overrides.extend(arguments.max_steps.map(|steps| format!("rollout.max_steps={steps}")));
-    arguments.stage.runner(&overrides)
+    arguments.rolled.runner(&arguments.stage)
 }
 
 /// The page that `--report` asks for.

@@ -5,14 +5,16 @@
 //! contains frames has one entry. A query takes the entry of its own cell, or the nearest entry if its cell is empty, and
 //! replays the entry's actions. `docs/policies/alt.md` lists what differs from the published method.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use re4_artifact::table;
 use re4_episode::DemoNames;
 use re4_rollout::{
-    Act, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses, Space,
+    Act, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses,
+    Space, Trace,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -199,6 +201,9 @@ struct Lut<D: Lookup> {
     latent: Latent,
     /// The latent code of each entry, and the position of its frame.
     codes: Vec<(Vec<f64>, usize)>,
+    /// The later frames of the cell of each entry, one per further demonstration: they are entries without the demonstrations before
+    /// them.
+    substitutes: Vec<Vec<(Vec<f64>, usize)>>,
     cells: BTreeMap<Vec<i64>, usize>,
     /// Reference distances in ascending order.
     references: Vec<f64>,
@@ -221,22 +226,37 @@ impl<D: Lookup> Lut<D> {
         let latent = Latent::fit(&features, config.components as usize, 0.0);
         let all: Vec<(Vec<f64>, usize)> = features.iter().map(|row| latent.of(row)).zip(admitted).collect();
         let mut cells = BTreeMap::new();
+        let mut substitutes: Vec<Vec<(Vec<f64>, usize)>> = Vec::new();
         let codes = if config.cell > 0.0 {
             let mut codes = Vec::new();
             for (code, at) in &all {
-                cells.entry(cell_of(code, config.cell)).or_insert_with(|| {
-                    codes.push((code.clone(), *at));
-                    codes.len() - 1
-                });
+                match cells.entry(cell_of(code, config.cell)) {
+                    Entry::Vacant(cell) => {
+                        cell.insert(codes.len());
+                        codes.push((code.clone(), *at));
+                        substitutes.push(Vec::new());
+                    }
+                    Entry::Occupied(cell) => {
+                        let (_, first) = codes[*cell.get()];
+                        let later = &mut substitutes[*cell.get()];
+                        // Frames are sorted by demonstration.
+                        let last = later.last().map_or(first, |(_, last)| *last);
+                        if memory.entries[last].demo != memory.entries[*at].demo {
+                            later.push((code.clone(), *at));
+                        }
+                    }
+                }
             }
             codes
         } else {
+            substitutes.resize(all.len(), Vec::new());
             all.clone()
         };
         let mut lut = Self {
             memory,
             latent,
             codes,
+            substitutes,
             cells,
             references: Vec::new(),
             config,
@@ -265,19 +285,54 @@ impl<D: Lookup> Lut<D> {
         distances
     }
 
-    fn find(&self, code: &[f64]) -> Option<Found> {
-        let distances = self.codes.iter().map(|(other, _)| Some(squared(code, other)));
+    /// The entry of a cell without some demonstrations: its code and the position of its frame. `None` if only they have frames there.
+    fn entry(&self, cell: usize, without: &BTreeSet<u32>) -> Option<&(Vec<f64>, usize)> {
+        let mut frames = std::iter::once(&self.codes[cell]).chain(&self.substitutes[cell]);
+        frames.find(|(_, at)| !without.contains(&self.memory.entries[*at].demo))
+    }
+
+    /// The demonstrations without which [`Self::find`] would have found another frame than this one. Without the demonstration of
+    /// an entry, the cell has another entry, which may be nearer to the code.
+    fn considered(&self, code: &[f64], found: &Found, without: &BTreeSet<u32>) -> BTreeSet<u32> {
+        let demo = |at: usize| self.memory.entries[at].demo;
+        let mut demos = BTreeSet::from([demo(found.at)]);
+        if found.hit {
+            return demos;
+        }
+        for cell in 0..self.codes.len() {
+            let Some((_, at)) = self.entry(cell, without) else {
+                continue;
+            };
+            let mut without = without.clone();
+            without.insert(demo(*at));
+            let nearer = self
+                .entry(cell, &without)
+                .is_some_and(|(other, _)| squared(code, other).sqrt() <= found.distance);
+            if nearer {
+                demos.insert(demo(*at));
+            }
+        }
+        demos
+    }
+
+    fn find(&self, code: &[f64], without: &BTreeSet<u32>) -> Option<Found> {
+        let distances = (0..self.codes.len()).map(|cell| {
+            let (other, _) = self.entry(cell, without)?;
+            Some(squared(code, other))
+        });
         let (squared, nearest) = *nearest(distances, 1).first()?;
         let distance = squared.sqrt();
         let own = match self.config.cell {
             0.0 => None,
             size => self.cells.get(&cell_of(code, size)).copied(),
         };
+        let own = own.filter(|cell| self.entry(*cell, without).is_some());
+        let (_, at) = self.entry(own.unwrap_or(nearest), without)?;
         let count = self.references.len();
         let below = self.references.partition_point(|reference| *reference < distance);
         let quantile = (count > 0).then(|| below as f64 / count as f64);
         Some(Found {
-            at: self.codes[own.unwrap_or(nearest)].1,
+            at: *at,
             hit: own.is_some(),
             distance,
             quantile,
@@ -295,6 +350,7 @@ struct AltPolicy<D: Lookup> {
     history: History<D>,
     /// Positions of the frames whose actions have yet to be executed.
     plan: VecDeque<usize>,
+    trace: Trace,
     step: u32,
 }
 
@@ -306,8 +362,16 @@ impl<D: Lookup> PolicyFactory<D> for AltFactory<D> {
             lut: Arc::clone(&self.lut),
             history: History::new(self.lut.config.history),
             plan: VecDeque::new(),
+            trace: Trace::default(),
             step: 0,
         }
+    }
+
+    fn start_without(&self, seed: u32, first: &D::Proprio, without: &Arc<BTreeSet<u32>>) -> Option<AltPolicy<D>> {
+        Some(AltPolicy {
+            trace: Trace::without(without),
+            ..self.start(seed, first)
+        })
     }
 }
 
@@ -315,7 +379,12 @@ impl<D: Lookup> AltPolicy<D> {
     fn decide(&mut self, proprio: D::Proprio, object: D::Pose) -> Result<AltDecision<D>, LookupError> {
         let lut = &self.lut;
         let code = lut.latent.of(&self.history.features(&lut.memory));
-        let found = lut.find(&code).ok_or(LookupError::NothingToDo)?;
+        let without = self.trace.left_out();
+        let found = lut.find(&code, without).ok_or(LookupError::NothingToDo)?;
+        if self.trace.is_on() {
+            let considered = lut.considered(&code, &found, without);
+            self.trace.consider(considered);
+        }
         let run = lut.memory.run(found.at, lut.config.horizon as usize);
         self.plan = (found.at..found.at + run).collect();
         let first = &lut.memory.entries[found.at];
@@ -360,6 +429,10 @@ impl<D: Lookup> Policy<D> for AltPolicy<D> {
             decision,
             object,
         })
+    }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
     }
 }
 

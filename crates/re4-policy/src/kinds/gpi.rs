@@ -7,13 +7,14 @@
 //! Source: the method's public code and paper; the port to the robosuite tasks follows the description in the RE4 paper.
 //! `docs/policies/gpi.md` lists what differs.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use re4_artifact::table;
 use re4_episode::DemoNames;
 use re4_rollout::{
-    Act, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses, Space,
+    Act, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses,
+    Space, Trace,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -227,6 +228,7 @@ struct GpiPolicy<D: Lookup> {
     /// Number of frames of the plan when it was made.
     planned: usize,
     previous: Option<D::Action>,
+    trace: Trace,
     step: u32,
 }
 
@@ -242,8 +244,16 @@ impl<D: Lookup> PolicyFactory<D> for GpiFactory<D> {
             plan: VecDeque::new(),
             planned: 0,
             previous: None,
+            trace: Trace::default(),
             step: 0,
         }
+    }
+
+    fn start_without(&self, seed: u32, first: &D::Proprio, without: &Arc<BTreeSet<u32>>) -> Option<GpiPolicy<D>> {
+        Some(GpiPolicy {
+            trace: Trace::without(without),
+            ..self.start(seed, first)
+        })
     }
 }
 
@@ -251,9 +261,9 @@ impl<D: Lookup> GpiPolicy<D> {
     /// Searches the nearest unused frames. If every frame was used, all are forgotten.
     fn search(&mut self, state: &D::State, count: usize) -> Vec<(f64, usize)> {
         loop {
-            let (memory, used) = (&self.memory, &self.used);
+            let (memory, used, without) = (&self.memory, &self.used, self.trace.left_out());
             let distances = memory.entries.iter().enumerate().map(|(at, entry)| {
-                let admitted = entry.retrievable && !used.contains(at);
+                let admitted = entry.retrievable && !used.contains(at) && !without.contains(&entry.demo);
                 admitted.then(|| D::squared(&memory.scales, &entry.state, state))
             });
             let found = nearest(distances, count);
@@ -275,6 +285,10 @@ impl<D: Lookup> GpiPolicy<D> {
         let used = self.used.len() as u32;
         let found = self.search(&state, if reactive { self.config.neighbors as usize } else { 1 });
         let (distance, at) = *found.first().ok_or(LookupError::NothingToDo)?;
+        // The nearest unused frames are the same without any frame that is not among them. Used frames were among them before.
+        let memory = &self.memory;
+        self.trace
+            .consider(found.iter().map(|(_, at)| memory.entries[*at].demo));
         let weights = inverse_weights(found.iter().map(|(distance, _)| *distance));
         let parts: Vec<(f64, usize)> = weights.into_iter().zip(found.iter().map(|(_, at)| *at)).collect();
         if !reactive {
@@ -360,6 +374,10 @@ impl<D: Lookup> Policy<D> for GpiPolicy<D> {
             object,
             decision,
         })
+    }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
     }
 }
 

@@ -17,7 +17,7 @@ use re4_geometry::Point2;
 use re4_index::{AngleMetric, IndexError, IndexRow, Normalization, PlanarState, Query, SpatialQuery, Stage2};
 use re4_rollout::{
     Act, ArmAction, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory,
-    Recorded, Senses, Space,
+    Recorded, Senses, Space, Trace,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -136,14 +136,15 @@ impl<D: Domain> Explained<D> for NearestDecision<D> {
 
 /// The states and actions of the demonstrations in one domain.
 trait States<D: Domain>: Send + Sync {
-    /// Finds the nearest frame. `closed` is true if the last command closed the gripper. Returns the frame and up to `horizon`
-    /// actions, starting with the action of the frame.
+    /// Finds the nearest frame among the demonstrations that are not in `without`. `closed` is true if the last command closed the
+    /// gripper. Returns the frame and up to `horizon` actions, starting with the action of the frame.
     fn nearest(
         &self,
         proprio: &D::Proprio,
         object: &D::Pose,
         closed: bool,
         horizon: usize,
+        without: &BTreeSet<u32>,
     ) -> Result<(Found, Vec<D::Action>), LookupError>;
 
     /// Returns whether an action closes the gripper.
@@ -161,6 +162,7 @@ struct Nearest<D: Domain, S> {
     /// Actions that have yet to be executed.
     chunk: VecDeque<D::Action>,
     closed: bool,
+    trace: Trace,
     step: u32,
 }
 
@@ -173,8 +175,16 @@ impl<D: Domain, S: States<D>> PolicyFactory<D> for NearestFactory<S> {
             horizon: self.horizon,
             chunk: VecDeque::new(),
             closed: false,
+            trace: Trace::default(),
             step: 0,
         }
+    }
+
+    fn start_without(&self, seed: u32, first: &D::Proprio, without: &Arc<BTreeSet<u32>>) -> Option<Nearest<D, S>> {
+        Some(Nearest {
+            trace: Trace::without(without),
+            ..self.start(seed, first)
+        })
     }
 }
 
@@ -185,7 +195,12 @@ impl<D: Domain, S: States<D>> Policy<D> for Nearest<D, S> {
         let mut decision = None;
         if self.chunk.is_empty() {
             let (proprio, object) = (senses.proprio(), senses.object()?.pose);
-            let (found, actions) = self.states.nearest(&proprio, &object, self.closed, self.horizon)?;
+            let without = self.trace.left_out();
+            let (found, actions) = self
+                .states
+                .nearest(&proprio, &object, self.closed, self.horizon, without)?;
+            // A minimum is the same without any frame that does not attain it.
+            self.trace.consider([found.demo]);
             self.chunk.extend(actions);
             decision = Some(NearestDecision {
                 step: self.step,
@@ -204,6 +219,10 @@ impl<D: Domain, S: States<D>> Policy<D> for Nearest<D, S> {
             decision,
         })
     }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
+    }
 }
 
 struct PlaneStates {
@@ -218,6 +237,7 @@ impl States<Plane> for PlaneStates {
         object: &re4_geometry::Pose2,
         _: bool,
         horizon: usize,
+        without: &BTreeSet<u32>,
     ) -> Result<(Found, Vec<Point2>), LookupError> {
         // The pusher does not grasp, so every frame of Push-T is in transit.
         let mode = Mode::Transit;
@@ -233,7 +253,8 @@ impl States<Plane> for PlaneStates {
             x * x + y * y + object_x * object_x + object_y * object_y + angle * angle
         };
         let admitted = self.frames.iter().enumerate();
-        let admitted = admitted.filter(|(_, frame)| frame.retrievable != Some(false));
+        let admitted =
+            admitted.filter(|(_, frame)| frame.retrievable != Some(false) && !without.contains(&frame.episode));
         let (mut best, mut compared) = (None, 0);
         for (at, frame) in admitted {
             let distance = squared(frame);
@@ -271,12 +292,15 @@ impl States<Space> for SpatialKnowledge {
         object: &nalgebra::Isometry3<f64>,
         closed: bool,
         horizon: usize,
+        without: &BTreeSet<u32>,
     ) -> Result<(Found, Vec<ArmAction>), LookupError> {
         let mode = if closed { Mode::Transfer } else { Mode::Transit };
         let (eef, object) = (arm.eef, *object);
         let query = SpatialQuery { mode, eef, object };
         // If both stages use `d_q`, the two-stage lookup returns the nearest state over all demonstrations.
-        let found = self.index().retrieve(&query, Stage2::State, &BTreeSet::new())?;
+        let found = self
+            .index()
+            .retrieve_without(&query, Stage2::State, &BTreeSet::new(), without)?;
         let found = found.ok_or(LookupError::NoFrameOfMode { mode })?;
         let frames = self.demos().demo(found.episode).unwrap_or_default();
         let chunk = frames.iter().skip(found.frame as usize).take(horizon);

@@ -204,7 +204,10 @@ impl Settings<Space> for SpatialPolicyConfig {
 
     fn open(&self, inputs: &Inputs<'_>) -> Result<Box<dyn Opened<Space>>, OpenError> {
         let index = inputs.of(Stage::Index)?;
-        let knowledge = open_spatial_index(index, &self.retrieve, inputs.symmetry, inputs.names.clone())?;
+        let mut knowledge = open_spatial_index(index, &self.retrieve, inputs.symmetry, inputs.names.clone())?;
+        if let Some(retime) = &self.replay.retime {
+            knowledge = knowledge.with_pace(retime);
+        }
         Ok(Box::new(Named {
             names: inputs.names.clone(),
             factory: SpatialRe4Factory {

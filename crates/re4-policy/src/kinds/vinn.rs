@@ -4,12 +4,14 @@
 //! the normalised state (the recorded or the estimated object pose, and the end effector), or the last states.
 //! `docs/policies/vinn.md` lists what differs.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use re4_artifact::table;
 use re4_episode::DemoNames;
 use re4_rollout::{
-    Act, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses, Space,
+    Act, Domain, Explained, Explanation, Named, Opened, Phase, Plane, Policy, PolicyError, PolicyFactory, Senses,
+    Space, Trace,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -154,6 +156,7 @@ struct VinnPolicy<D: Lookup> {
     memory: Arc<Memory<D>>,
     config: Vinn,
     history: History<D>,
+    trace: Trace,
     step: u32,
 }
 
@@ -165,8 +168,16 @@ impl<D: Lookup> PolicyFactory<D> for VinnFactory<D> {
             memory: Arc::clone(&self.memory),
             config: self.config,
             history: History::new(self.config.history),
+            trace: Trace::default(),
             step: 0,
         }
+    }
+
+    fn start_without(&self, seed: u32, first: &D::Proprio, without: &Arc<BTreeSet<u32>>) -> Option<VinnPolicy<D>> {
+        Some(VinnPolicy {
+            trace: Trace::without(without),
+            ..self.start(seed, first)
+        })
     }
 }
 
@@ -177,11 +188,11 @@ impl<D: Lookup> Policy<D> for VinnPolicy<D> {
         let (proprio, object) = (senses.proprio(), senses.object()?.pose);
         self.history.push(self.memory.query(&proprio, &object)?);
         let memory = &self.memory;
-        let distances = memory
-            .entries
-            .iter()
-            .enumerate()
-            .map(|(at, entry)| entry.retrievable.then(|| self.history.squared(memory, at)));
+        let without = self.trace.left_out();
+        let distances = memory.entries.iter().enumerate().map(|(at, entry)| {
+            let admitted = entry.retrievable && !without.contains(&entry.demo);
+            admitted.then(|| self.history.squared(memory, at))
+        });
         let found: Vec<(f64, usize)> = nearest(distances, self.config.neighbors as usize)
             .into_iter()
             .map(|(squared, at)| (squared.sqrt(), at))
@@ -207,13 +218,20 @@ impl<D: Lookup> Policy<D> for VinnPolicy<D> {
                 .map(|(weight, entry)| (entry.demo, entry.frame, *weight))
                 .collect(),
         };
+        let action = D::mean(&neighbors, &object, self.config.actions);
+        // The nearest frames are the same without any frame that is not among them.
+        self.trace.consider(decision.neighbors.iter().map(|(demo, ..)| *demo));
         self.step += 1;
         Ok(Act {
-            action: D::mean(&neighbors, &object, self.config.actions),
+            action,
             phase: Phase::Replay,
             decision: Some(decision),
             object: Some(object),
         })
+    }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
     }
 }
 

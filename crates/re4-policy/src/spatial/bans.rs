@@ -34,6 +34,11 @@ impl Bans {
         &self.banned
     }
 
+    /// Whether all demonstrations but one are banned.
+    pub(crate) fn is_nearly_full(&self) -> bool {
+        self.banned.len() + 1 >= self.demos && !self.banned.is_empty()
+    }
+
     /// Bans a demonstration if bans are enabled. Returns whether it was not banned before.
     pub(crate) fn ban(&mut self, demo: u32) -> bool {
         if self.config.is_none() {

@@ -155,6 +155,27 @@ pub struct SpatialReplayConfig {
     pub finish: bool,
     /// Extension of a chunk during which the gripper closes or opens. If absent, chunks are not extended.
     pub settle: Option<SettleConfig>,
+    /// Replay at the robot's pace where nothing is touched. If absent, every frame takes one control step, as recorded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retime: Option<RetimeConfig>,
+}
+
+/// Replay at the robot's pace instead of the demonstrator's. The set-point moves along the recorded path of the end effector, at most
+/// the lead of Replan ahead of the end effector along this path. Parts in which something is touched are replayed as recorded, action
+/// by action: around every change of the gripper command, and where the object moves although it is not held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RetimeConfig {
+    /// Distance from the pose at a change of the gripper command within which the demonstration is replayed as recorded, in metres,
+    /// with rotations converted at 0.1 m per rad.
+    pub margin: f64,
+}
+
+impl Default for RetimeConfig {
+    /// The margin is the lead of Replan: from there on, a set-point at full lead would lie at the grasp or beyond it.
+    fn default() -> Self {
+        Self { margin: 0.05 }
+    }
 }
 
 /// Extension of a chunk that would end while the fingers still move: the replay continues until the fingers are still, for at
@@ -278,6 +299,7 @@ impl SpatialPolicyConfig {
                 horizon: 16,
                 finish: false,
                 settle: None,
+                retime: None,
             },
             recovery: SpatialRecoveryConfig {
                 lost_grasp: Some(0.01),
@@ -347,6 +369,14 @@ impl SpatialPolicyConfig {
         count("replay.horizon", replay.horizon)?;
         let finger_speed = replay.settle.as_ref().map_or(0.0, |settle| settle.finger_speed);
         not_negative("replay.settle.finger_speed", finger_speed)?;
+        let retime = replay.retime.as_ref();
+        not_negative("replay.retime.margin", retime.map_or(0.0, |retime| retime.margin))?;
+        SettingError::unless(
+            retime.is_none() || replan.enabled,
+            "replay.retime",
+            "given, but replan.enabled is false, and its lead sets the pace",
+            "leave it out",
+        )?;
         not_negative("recovery.lost_grasp", recovery.lost_grasp.unwrap_or(0.0))?;
         count("recovery.home_steps", recovery.home_steps)?;
         let repeats = ban.map_or(2, |ban| ban.repeats);

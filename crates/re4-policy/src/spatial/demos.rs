@@ -1,12 +1,15 @@
 //! The demonstrations that a policy replays, and their index.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Isometry3, Translation3, Vector3};
 use re4_episode::{Mode, SpatialFrame};
 use re4_geometry::spatial::{Symmetry, SymmetryGroup, is_valid_pose, rotation_from_vector};
 use re4_index::{IndexError, IndexedSpatialFrame, SpatialIndex};
 
 use crate::DemoSet;
-use crate::spatial::config::SpatialRetrieveConfig;
+use crate::spatial::config::{RetimeConfig, SpatialRetrieveConfig};
+use crate::spatial::retime::free_frames;
 
 /// A frame that a policy can replay. World frame, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +57,10 @@ pub struct SpatialKnowledge {
     demos: SpatialDemoSet,
     index: SpatialIndex,
     group: SymmetryGroup,
+    /// The numbers that frames have in the recording, by demonstration; only for demonstrations of which frames were cut.
+    recorded: BTreeMap<u32, Vec<u32>>,
+    /// Whether each frame may be replayed at the robot's pace, by demonstration.
+    free: BTreeMap<u32, Vec<bool>>,
 }
 
 impl SpatialKnowledge {
@@ -94,7 +101,40 @@ impl SpatialKnowledge {
             index: SpatialIndex::build(frames, retrieve.metric(symmetry)).map_err(named)?,
             group: symmetry.group()?,
             demos,
+            recorded: BTreeMap::new(),
+            free: BTreeMap::new(),
         })
+    }
+
+    /// Sets the numbers that the frames of each demonstration have in the recording, of which some frames may have been cut.
+    #[must_use]
+    pub fn with_recorded_frames(mut self, recorded: BTreeMap<u32, Vec<u32>>) -> Self {
+        self.recorded = recorded;
+        self.recorded
+            .retain(|_, numbers| !(0..).zip(&*numbers).all(|(place, number)| place == *number));
+        self
+    }
+
+    /// Determines the frames that are replayed at the robot's pace.
+    #[must_use]
+    pub fn with_pace(mut self, retime: &RetimeConfig) -> Self {
+        let free = self
+            .demos
+            .iter()
+            .map(|(demo, frames)| (demo, free_frames(frames, retime)));
+        self.free = free.collect();
+        self
+    }
+
+    /// Returns whether each frame of a demonstration may be replayed at the robot's pace; empty if none may.
+    pub(crate) fn free(&self, demo: u32) -> &[bool] {
+        self.free.get(&demo).map_or(&[], Vec::as_slice)
+    }
+
+    /// Returns the number that a frame has in the recording.
+    pub(crate) fn recorded_frame(&self, demo: u32, frame: usize) -> u32 {
+        let number = self.recorded.get(&demo).and_then(|numbers| numbers.get(frame));
+        number.copied().unwrap_or(frame as u32)
     }
 
     /// Returns the demonstrations with all their frames.

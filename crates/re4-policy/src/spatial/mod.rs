@@ -9,15 +9,17 @@
 //! first command (paper, section "Manipulation Modes": for Robomimic, the sign of the last command).
 
 mod bans;
+mod chunk;
 mod config;
 mod decision;
 mod demos;
 mod estimate;
 mod policy;
 mod reframe;
+mod retime;
 
 pub use config::{
-    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, SettleConfig, SpatialPolicyConfig,
+    BanConfig, EndOfDemo, GraspCheck, Measuring, PoseFilterConfig, RetimeConfig, SettleConfig, SpatialPolicyConfig,
     SpatialRecoveryConfig, SpatialReframeConfig, SpatialReplanConfig, SpatialReplayConfig, SpatialRetrieveConfig,
     TransferReplay, WhileHeld,
 };

@@ -1,20 +1,23 @@
 //! The RE4 loop in SE(3) (paper, Algorithm 1), executed one control step at a time.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{is_valid_pose, pose_distance, step_toward};
 use re4_index::{IndexError, SpatialDistances, SpatialQuery};
-use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space};
+use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space, Trace};
 
 use crate::LookupError;
 use crate::spatial::bans::Bans;
+use crate::spatial::chunk::Chunk;
 use crate::spatial::config::{EndOfDemo, GraspCheck, Measuring, SpatialPolicyConfig, WhileHeld};
 use crate::spatial::decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 use crate::spatial::demos::{SpatialDemoFrame, SpatialKnowledge, last_release};
 use crate::spatial::estimate::ObjectEstimate;
-use crate::spatial::reframe::{Carry, reframe_spatial, without_reframe_spatial};
+use crate::spatial::reframe::{reframe_spatial, without_reframe_spatial};
+use crate::spatial::retime::Pace;
 
 /// Command that opens the gripper.
 const OPEN: f64 = -1.0;
@@ -52,6 +55,7 @@ pub struct SpatialRe4 {
     /// The demonstration whose action last closed the gripper.
     grasped_by: Option<u32>,
     newly_banned: Vec<u32>,
+    trace: Trace,
     step: u32,
 }
 
@@ -60,27 +64,6 @@ enum Activity {
     None,
     Home { taken: u32 },
     Chunk(Box<Chunk>),
-}
-
-/// A chunk in execution.
-struct Chunk {
-    demo: u32,
-    /// First frame.
-    start: usize,
-    /// Frame of the next action.
-    next: usize,
-    /// Last frame, included.
-    end: usize,
-    /// Mode of the query.
-    mode: Mode,
-    carry: Carry,
-    /// Object pose, aligned with the demonstration's by the object's symmetry, in the frame in which the object is fixed: the
-    /// world in transit, the gripper in transfer.
-    aligned: Isometry3<f64>,
-    /// Whether the transformation of the chunk is final. If not, it is measured again at every step.
-    is_final: bool,
-    /// Number of steps of the bridge so far, or `None` if the bridge has ended.
-    bridge: Option<u32>,
 }
 
 /// A chunk that was replayed to its end.
@@ -141,7 +124,25 @@ impl SpatialRe4 {
             followed: None,
             grasped_by: None,
             newly_banned: Vec::new(),
+            trace: Trace::default(),
             step: 0,
+        }
+    }
+
+    /// The same policy without some of its demonstrations, which reports what its decisions depend on.
+    #[must_use]
+    pub fn without(self, without: &Arc<BTreeSet<u32>>) -> Self {
+        let left_out = without
+            .iter()
+            .filter(|demo| self.knowledge.demos().demo(**demo).is_some());
+        Self {
+            bans: Bans::new(
+                self.config.recovery.ban.clone(),
+                self.knowledge.demos().len() - left_out.count(),
+                self.config.replay.horizon,
+            ),
+            trace: Trace::without(without),
+            ..self
         }
     }
 
@@ -164,6 +165,10 @@ impl PolicyFactory<Space> for SpatialRe4Factory {
 
     fn start(&self, _: u32, first: &ArmState) -> SpatialRe4 {
         SpatialRe4::new(self.config.clone(), Arc::clone(&self.knowledge), first.eef)
+    }
+
+    fn start_without(&self, seed: u32, first: &ArmState, without: &Arc<BTreeSet<u32>>) -> Option<SpatialRe4> {
+        Some(self.start(seed, first).without(without))
     }
 }
 
@@ -211,6 +216,10 @@ impl Policy<Space> for SpatialRe4 {
             self.observe_object(&mut observed, &mut observer)?;
         }
         self.step(observed, observer)
+    }
+
+    fn considered(&self) -> Option<&BTreeSet<u32>> {
+        self.trace.considered()
     }
 }
 
@@ -326,6 +335,7 @@ impl SpatialRe4 {
                 return Ok((None, Some(self.abort_grasp(observed))));
             }
         }
+        chunk.end_if_spent();
         if chunk.next > chunk.end && chunk.next < frames.len() && self.fingers_are_settling(observed) {
             chunk.end = chunk.next;
         }
@@ -336,15 +346,20 @@ impl SpatialRe4 {
             });
             return Ok((None, None));
         }
-        let frame = &frames[chunk.next];
+        let pace = Pace {
+            frames,
+            free: knowledge.free(chunk.demo),
+            replan: &self.config.replan,
+        };
+        let paced = pace.next(chunk.next, &chunk.carry, &observed.eef);
         let action = ArmAction {
-            goal: chunk.carry.goal(&frame.goal),
-            gripper: frame.gripper,
+            goal: paced.goal,
+            gripper: frames[paced.frame].gripper,
         };
         if action.gripper > 0.0 && self.gripper <= 0.0 {
             self.grasped_by = Some(chunk.demo);
         }
-        chunk.next += 1;
+        chunk.advance(&paced, self.config.replan.max_steps);
         self.activity = Activity::Chunk(chunk);
         Ok((Some((action, Phase::Replay)), None))
     }
@@ -400,6 +415,13 @@ impl SpatialRe4 {
     fn ban(&mut self, demo: u32) {
         if self.bans.ban(demo) {
             self.newly_banned.push(demo);
+        }
+        // Without the only demonstration that is not banned, all bans would have been lifted.
+        if self.trace.is_on() && self.bans.is_nearly_full() {
+            let banned = self.bans.set();
+            let others = self.knowledge.demos().iter().map(|(demo, _)| demo);
+            let others: Vec<u32> = others.filter(|demo| !banned.contains(demo)).collect();
+            self.trace.consider(others);
         }
     }
 
@@ -471,6 +493,7 @@ impl SpatialRe4 {
         let observed = &*observed;
         let (kind, demo, frame, distances) = loop {
             let (kind, demo, frame, distances) = self.retrieve(observed)?;
+            self.trace.consider([demo]);
             if !self.bans.is_repeated(observed.mode, demo, frame) {
                 break (kind, demo, frame, distances);
             }
@@ -483,20 +506,22 @@ impl SpatialRe4 {
     /// Returns the frame to continue from: the retrieved frame or, if it is nearly as close, the next frame of the current
     /// demonstration.
     fn retrieve(
-        &self,
+        &mut self,
         observed: &Observation,
     ) -> Result<(SpatialDecisionKind, u32, u32, SpatialDistances), LookupError> {
-        let knowledge = &self.knowledge;
+        let knowledge = Arc::clone(&self.knowledge);
         let (query, stage2) = (observed.query(), self.config.retrieve.stage2);
         let found = knowledge
             .index()
-            .retrieve(&query, stage2, self.bans.set())?
+            .retrieve_without(&query, stage2, self.bans.set(), self.trace.left_out())?
             .ok_or(LookupError::NoFrameOfMode { mode: observed.mode })?;
+        // Also if the policy continues with its demonstration, because the margin is relative to this frame.
+        self.trace.consider([found.episode]);
         if let (Some(margin), Some(Followed { demo, next: Some(next) })) =
             (self.config.retrieve.commit_margin, self.followed)
             && !self.bans.set().contains(&demo)
         {
-            let frames = frames_of(knowledge, demo, next as usize)?;
+            let frames = frames_of(&knowledge, demo, next as usize)?;
             let frame = &frames[next as usize];
             let distances = knowledge.index().distances(&query, &frame.eef, &frame.object)?;
             if frame.mode == observed.mode && distances.d_q <= found.distances.d_q + margin {
@@ -534,8 +559,14 @@ impl SpatialRe4 {
             without_reframe_spatial(&first.eef)
         };
         let horizon = self.config.replay.horizon.max(1) as usize;
-        let mut end = start.saturating_add(horizon - 1).min(frames.len() - 1);
-        if self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release) {
+        let pace = Pace {
+            frames,
+            free: knowledge.free(demo),
+            replan: &self.config.replan,
+        };
+        let mut end = pace.end(start, horizon);
+        let finishes = self.config.replay.finish && last_release(frames).is_some_and(|release| end >= release);
+        if finishes {
             end = frames.len() - 1;
         }
         let bridge = self.config.replan.enabled && !self.is_at(&observed.eef, &carry.near);
@@ -543,6 +574,8 @@ impl SpatialRe4 {
             demo,
             start,
             next: start,
+            budget: (self.config.replay.retime.is_some() && !finishes).then_some(self.config.replay.horizon.max(1)),
+            waited: 0,
             end,
             mode: observed.mode,
             carry,
@@ -552,8 +585,8 @@ impl SpatialRe4 {
         }));
         let choice = SpatialChoice {
             demo,
-            demo_frame: start as u32,
-            demo_end: end as u32,
+            demo_frame: knowledge.recorded_frame(demo, start),
+            demo_end: knowledge.recorded_frame(demo, end),
             d_q: distances.d_q,
             d_o: distances.d_o,
             d_e: distances.d_e,

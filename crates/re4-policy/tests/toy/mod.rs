@@ -149,6 +149,11 @@ impl World {
 /// Demonstrates the task: above the block, down, close, up, across, down, open, up. `grasp` rotates the gripper by multiples of
 /// 90 degrees relative to the block.
 pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemoFrame> {
+    demonstrate_with_lead(object, grasp, 0.04)
+}
+
+/// As [`demonstrate`], with the set-point at most `lead` metres ahead of the gripper, which determines the pace.
+pub(crate) fn demonstrate_with_lead(object: Isometry3<f64>, grasp: i32, lead: f64) -> Vec<SpatialDemoFrame> {
     let mut world = World::new(object);
     let (_, _, angle) = object.rotation.euler_angles();
     let rotation = down(angle + f64::from(grasp) * PI / 2.0);
@@ -157,12 +162,12 @@ pub(crate) fn demonstrate(object: Isometry3<f64>, grasp: i32) -> Vec<SpatialDemo
     let mut frames = Vec::new();
     let mut closed = false;
     let mut go = |world: &mut World, goal: Isometry3<f64>, gripper: f64, steps: Option<usize>| {
-        for i in 0..80 {
+        for i in 0..400 {
             let (distance, angle) = pose_distance(&world.eef, &goal);
             if steps.map_or(distance < 0.002 && angle < 0.02, |steps| i >= steps) {
                 return;
             }
-            let goal = step_toward(&world.eef, &goal, 0.04, 0.4);
+            let goal = step_toward(&world.eef, &goal, lead, 10.0 * lead);
             let v = rotation_vector(&goal.rotation);
             let frame = SpatialFrame {
                 eef: world.eef,

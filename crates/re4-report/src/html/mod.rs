@@ -5,6 +5,7 @@
 
 pub mod audit;
 pub mod comparison;
+pub mod influence;
 mod pack;
 pub mod rollouts;
 mod shell;

@@ -1,15 +1,18 @@
 //! The HTML page of an audit: reads the tables of the audit and of its inputs, and converts them to the content of the page.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Result, ensure};
-use re4_artifact::episodes::{Convention, FrameRow, PlanarColumns, SpatialColumns};
+use re4_artifact::episodes::{Convention, FrameRow, ImageRow, PlanarColumns, SpatialColumns};
 use re4_artifact::{Artifact, Row as _, TableSpec, col_bool, col_f64_or_null, columns};
 use re4_audit::{AuditedEpisodeRow, FindingRow, GraspRow};
 use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
+use re4_scores::ScoreRow;
 use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
 use re4_task::Task;
 
-use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, page};
+use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, Shot, page};
 use crate::html::rollouts::plane::block_outline;
 
 /// The artifacts that a page is made from, and the texts about them.
@@ -79,6 +82,7 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
         sources.audit.path().display(),
         sources.modes.path().display()
     );
+    let shots = shots(sources.episodes, &findings)?;
     Ok(page(&Audit {
         tool_version: env!("CARGO_PKG_VERSION").to_owned(),
         dataset: sources.dataset.clone(),
@@ -103,11 +107,57 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
         } else {
             Vec::new()
         },
+        scores: if sources.audit.has::<ScoreRow>() {
+            sources.audit.read()?
+        } else {
+            Vec::new()
+        },
+        shots,
         demos,
         segments,
         flags,
         panels,
     }))
+}
+
+/// Maximum number of camera images on a page; with 84 x 84 pixels, they have about 10 kB each.
+const SHOTS: usize = 160;
+
+/// The images in the middle of the findings, of the first camera of the dataset. If there are too many, those of the most severe
+/// findings are shown.
+fn shots(episodes: &Artifact, findings: &[FindingRow]) -> Result<Vec<Shot>> {
+    if !episodes.has::<ImageRow>() {
+        return Ok(Vec::new());
+    }
+    let mut order: Vec<usize> = (0..findings.len())
+        .filter(|&at| !findings[at].frames.is_empty())
+        .collect();
+    order.sort_by_key(|&at| std::cmp::Reverse(findings[at].severity));
+    order.truncate(SHOTS);
+    let mut wanted: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
+    for at in order {
+        let FindingRow { episode, frames, .. } = &findings[at];
+        wanted
+            .entry((*episode, frames.start.midpoint(frames.end - 1)))
+            .or_default()
+            .push(at);
+    }
+    let (mut camera, mut shots) = (None, Vec::new());
+    for row in episodes.table(ImageRow::table())?.stream::<ImageRow>()? {
+        let row = row?;
+        if camera.get_or_insert_with(|| row.camera.clone()) != &row.camera {
+            continue;
+        }
+        for &finding in wanted.get(&(row.episode, row.frame)).into_iter().flatten() {
+            shots.push(Shot {
+                finding,
+                frame: row.frame,
+                png: row.image.clone(),
+            });
+        }
+    }
+    shots.sort_by_key(|shot| shot.finding);
+    Ok(shots)
 }
 
 fn measure(unit: &str, factor: f64) -> Measure {
@@ -284,6 +334,24 @@ const SPATIAL: Shown = Shown {
             &[(false, "relative_rotation", "")],
         ),
         ("Grip site to object", "mm", 1e3, &[(false, "eef_object_distance", "")]),
+        (
+            "Action, translation",
+            "of the limit",
+            1.0,
+            &[(true, "delta_x", "x"), (true, "delta_y", "y"), (true, "delta_z", "z")],
+        ),
+        (
+            "Action, rotation",
+            "of the limit",
+            1.0,
+            &[
+                (true, "delta_rx", "x"),
+                (true, "delta_ry", "y"),
+                (true, "delta_rz", "z"),
+            ],
+        ),
+        ("Action, gripper", "", 1.0, &[(true, "gripper", "")]),
+        ("Reward", "", 1.0, &[(true, "reward", "")]),
     ],
 };
 
@@ -305,6 +373,12 @@ const PLANAR: Shown = Shown {
             &[(false, "relative_translation", "")],
         ),
         ("Pusher to block", "px", 1.0, &[(false, "eef_object_distance", "")]),
+        (
+            "Action (target)",
+            "px",
+            1.0,
+            &[(true, "action_x", "x"), (true, "action_y", "y")],
+        ),
     ],
 };
 

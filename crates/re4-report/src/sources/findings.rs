@@ -66,6 +66,7 @@ impl Findings {
                     "severity": f.severity.as_str(), "code": f.code.to_string(), "episode": f.episode, "demo": self.demo(f),
                     "first_frame": f.frames.start, "end_frame": f.frames.end,
                     "value": f.value, "threshold": f.threshold, "unit": f.unit.to_string(), "message": f.message,
+                    "other_demo": f.other_demo,
                 })
             })
             .collect();
@@ -122,6 +123,18 @@ impl Findings {
             let outcomes: Vec<String> = outcomes.iter().map(|(name, count)| format!("{count} {name}")).collect();
             write!(text, "\n  grasps    {}", outcomes.join(", "))?;
         }
+        let rules = summary["rules"].as_object().into_iter().flatten();
+        let agreements: Vec<String> = rules
+            .filter(|(_, row)| row["configured"] == false)
+            .map(|(rule, row)| format!("{:.1} % by {rule}", 1e2 * row["agreement"].as_f64().unwrap_or_default()))
+            .collect();
+        if !agreements.is_empty() {
+            write!(
+                text,
+                "\n  frames with the same mode by other rules: {}",
+                agreements.join(", ")
+            )?;
+        }
         if let Some(overlap) = summary["contacts"]["jaccard"].as_f64() {
             write!(
                 text,
@@ -159,24 +172,25 @@ impl Findings {
             }
         }
         let quiet = self.checks.len() - found.len();
-        let skipped = self
+        let skipped: Vec<(&CheckRow, &str)> = self
             .checks
             .iter()
-            .filter(|check| check.derivation.starts_with("not made"))
-            .count();
+            .filter_map(|check| Some((check, check.derivation.strip_prefix("not made: ")?)))
+            .collect();
         write!(
             text,
-            "\n  {} found nothing{}",
+            "\n  {} found nothing",
             plural(
-                quiet - skipped.min(quiet),
+                quiet - skipped.len().min(quiet),
                 if found.is_empty() { "check" } else { "other check" }
-            ),
-            if skipped > 0 {
-                format!("; {skipped} could not be made, because there are too few values to derive a threshold")
-            } else {
-                String::new()
-            }
+            )
         )?;
+        if !skipped.is_empty() {
+            write!(text, "\n\n  {} could not be made:", plural(skipped.len(), "check"))?;
+        }
+        for (check, why) in skipped {
+            write!(text, "\n    {:<23} {why}", &*check.code)?;
+        }
         Ok(())
     }
 

@@ -3,6 +3,7 @@
 pub(crate) mod audit;
 pub(crate) mod comparison;
 pub(crate) mod findings;
+pub(crate) mod influence;
 pub(crate) mod plane;
 pub(crate) mod report;
 pub(crate) mod space;
@@ -203,9 +204,12 @@ fn demonstrations<S: Scene>(index: &Artifact, sets: &[Rollouts<S>]) -> Result<BT
         .collect();
     let mut demonstrations: BTreeMap<u32, Demonstration> = BTreeMap::new();
     for frame in index.table(S::Frame::table())?.stream::<S::Frame>()? {
-        let (demo, numbers) = S::frame(&frame?);
+        let (demo, frame, numbers) = S::frame(&frame?);
         if needed.contains(&demo) {
-            demonstrations.entry(demo).or_default().push(numbers);
+            let frames = demonstrations.entry(demo).or_default();
+            // Decisions count the frames of the recording. In place of frames that `index.trim` cut, the frame after them is shown.
+            frames.resize(frames.len().max(frame as usize), numbers.clone());
+            frames.push(numbers);
         }
     }
     Ok(demonstrations)

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
-use re4_artifact::Artifact;
+use re4_artifact::{Artifact, Row as _};
 use re4_audit::SpatialDemo;
 use re4_episode::{SpatialEpisode, episode_name};
 use re4_fault::{Fault, OrFault as _, ensure, fault};
-use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
+use re4_ingest::{DemoRow, EpisodeRow, FrameRow, LeftOut, LeftOutFrameRow, SpatialColumns};
 use re4_policy::DemoNames;
 use re4_segment::{ModeRow, SegmentRow, SegmentedSpatial, SpatialEvidence, SpatialSegment};
 
@@ -33,6 +33,12 @@ pub(crate) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
 fn names(episodes: &Artifact) -> Result<Vec<String>> {
     let rows = episodes.read::<DemoRow>()?;
     Ok(rows.into_iter().map(|row| row.demo).collect())
+}
+
+/// Whether an `episodes` artifact has demonstrations of a robosuite task.
+pub(crate) fn is_spatial(episodes: &Artifact) -> Result<bool> {
+    let frames = episodes.table_named(FrameRow::<SpatialColumns>::NAME)?;
+    Ok(frames.domain().as_deref() == Some(FrameRow::<SpatialColumns>::table().domain))
 }
 
 /// The error of a stage that needs object poses when the dataset has none.
@@ -145,6 +151,42 @@ impl Iterator for SegmentedEpisodes {
     fn next(&mut self) -> Option<Self::Item> {
         let episode = self.episodes.next()?;
         Some(episode.and_then(|(number, episode)| self.join(number, episode)))
+    }
+}
+
+/// The demonstrations that were left out of an `episodes` artifact although they can be read, with their numbers in table
+/// `left_out`. Artifacts without such demonstrations, and older ones, have none.
+pub(crate) struct LeftOutEpisodes {
+    rows: Option<ByEpisode<LeftOutFrameRow<SpatialColumns>>>,
+    names: Vec<String>,
+    path: PathBuf,
+}
+
+impl LeftOutEpisodes {
+    /// Opens the table of their frames; `left` are the rows of table `left_out`.
+    pub(crate) fn open(artifact: &Artifact, left: &[LeftOut]) -> Result<Self> {
+        let table = artifact.has::<LeftOutFrameRow<SpatialColumns>>() && !left.is_empty();
+        let rows = table.then(|| ByEpisode::open(artifact, |row: &LeftOutFrameRow<_>| row.left_out));
+        Ok(Self {
+            rows: rows.transpose()?,
+            names: left.iter().map(|left| left.demo.clone()).collect(),
+            path: artifact.path().to_owned(),
+        })
+    }
+}
+
+impl Iterator for LeftOutEpisodes {
+    type Item = Result<(u32, SpatialEpisode)>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (names, path) = (&self.names, &self.path);
+        let rows = self.rows.as_mut()?.next()?;
+        Some(rows.and_then(|(number, rows)| {
+            let frames = rows.iter().map(|row| row.recorded.frame()).collect::<Option<_>>();
+            let frames = frames.or_fault(|| no_object(path))?;
+            let name = names.get(number as usize).cloned().unwrap_or_default();
+            Ok((number, SpatialEpisode { name, frames }))
+        }))
     }
 }
 

@@ -7,7 +7,7 @@ use re4_fault::{Fault, bail, ensure};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_rollout::Disturbed;
 use re4_scenes::ScenesConfig;
-use re4_segment::Rule;
+use re4_segment::{AnchorAt, Rule};
 use re4_sim::{GOAL_MARGIN, WALL_FACES, depth_in_walls};
 use re4_task::RobosuiteTask;
 
@@ -292,9 +292,15 @@ fn check_encoder(pipeline: &Pipeline, camera: &str) -> Result<()> {
         );
     }
     ensure!(
-        pipeline.segment.rule == Rule::GripperCommand,
+        matches!(pipeline.segment.rule, Rule::GripperCommand | Rule::Grasp),
         "pose.source is \"encoder\", but segment.rule reads recorded object poses";
         "set segment.rule = \"gripper_command\""
+    );
+    let gripper = pipeline.segment.gripper.as_ref();
+    ensure!(
+        gripper.is_none_or(|gripper| gripper.anchor == AnchorAt::FirstTransfer),
+        "pose.source is \"encoder\", but segment.gripper.anchor reads recorded object poses";
+        "remove segment.gripper.anchor, or set segment.rule = \"grasp\""
     );
     let leave_out = pipeline
         .index
@@ -332,7 +338,7 @@ fn check_render(ingest: &IngestSection) -> Result<()> {
 /// Checks a pipeline of Push-T.
 fn check_planar(pipeline: &Pipeline) -> Result<()> {
     ensure!(
-        pipeline.segment.rule != Rule::GripperCommand && pipeline.segment.gripper.is_none(),
+        !pipeline.segment.rule.needs_gripper() && pipeline.segment.gripper.is_none(),
         "Push-T has no gripper";
         "set segment.rule to \"always_transit\" or \"rigid_motion\", and remove segment.gripper"
     );
@@ -360,6 +366,7 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     if let Some(index) = &pipeline.index {
         at_least_one("index.longest_chunk", u64::from(index.longest_chunk))?;
         ensure!(index.leave_out.is_empty(), "index.leave_out applies only to robosuite tasks"; "remove it");
+        ensure!(index.trim.is_empty(), "index.trim applies only to robosuite tasks"; "remove it");
     }
     match (&pipeline.pose, pipeline.variant) {
         (Some(pose), Some(variant)) => check_variant(pipeline, pose, variant),

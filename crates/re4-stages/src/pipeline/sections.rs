@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use re4_encoder::EncoderConfig;
 use re4_geometry::Pose2;
+use re4_index::trim::Trim;
 use re4_ingest::pusht::PushtConventions;
 use re4_ingest::{OnBad, Selection};
 use re4_robosuite::conventions::Settings as Conventions;
@@ -123,6 +124,10 @@ pub struct IndexSection {
     /// last finding of these checks are not retrieved.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_out: Vec<String>,
+    /// robosuite tasks: what is cut out of the demonstrations, so that it is neither retrieved nor replayed: `idle` stretches, and
+    /// `detours` that lead back to an earlier state. Frames near a change of the gripper command are kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub trim: Vec<Trim>,
     /// robosuite tasks from images: how the encoder's estimates are stored in the index.
     #[serde(default, skip_serializing_if = "Estimates::is_default")]
     pub estimates: Estimates,

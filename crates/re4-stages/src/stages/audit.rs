@@ -1,5 +1,6 @@
 //! The stage `audit`: makes `audit`, which lists findings, from `episodes` and `modes`.
 
+mod scores;
 mod summary;
 
 use std::collections::BTreeMap;
@@ -8,23 +9,24 @@ use anyhow::Result;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_audit::{
-    AuditedEpisodeRow, CheckRow, Finding, FindingRow, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo, Severity,
-    SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion, observe_planar,
+    AuditedEpisodeRow, CheckRow, Finding, FindingRow, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo, RuleAgreementRow,
+    Severity, SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion, observe_planar,
     observe_spatial,
 };
 use re4_episode::{Mode, Segment};
-use re4_ingest::LeftOut;
-use re4_segment::segment_planar;
+use re4_ingest::{Convention, LeftOut};
+use re4_scores::Sketch;
+use re4_segment::{Rule, SegmentConfig, segment_planar, segment_spatial};
 use re4_sim::{GOAL, coverage};
 
 use self::summary::{Contacts, summary};
-use crate::inputs::demos::{SegmentedEpisodes, SpatialEpisodes, in_batches};
+use crate::inputs::demos::{LeftOutEpisodes, SegmentedEpisodes, SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_episodes;
 use crate::inputs::sources::left_out;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 5;
+const CODE_VERSION: u32 = 6;
 
 /// A demonstration's row in table `episodes`, and its segments.
 struct Listed {
@@ -62,27 +64,37 @@ struct Audited {
     findings: Vec<Finding>,
     grasps: Vec<GraspRow>,
     contacts: Option<Contacts>,
+    sketches: Vec<Sketch>,
+    agreements: Vec<RuleAgreementRow>,
 }
 
 impl Audited {
-    /// Appends the demonstrations that ingest left out, each with no frames and one finding.
-    fn report_left_out(&mut self, left: Vec<LeftOut>) {
-        for left in left {
+    /// Reports the demonstrations that ingest left out, each with one finding. They follow the others, and are listed with no frames.
+    fn report_left_out(&mut self, left: &[LeftOut], kept: usize) {
+        for (number, left) in left.iter().enumerate() {
+            let place = kept + number;
+            if self.listed.len() <= place {
+                self.listed.push(Listed::new(&left.demo, 0, Vec::new(), 0.0));
+            }
             self.findings.push(Finding {
                 severity: Severity::Error,
                 code: "left_out",
-                episode: self.listed.len() as u32,
+                episode: place as u32,
                 demo: left.demo.clone(),
                 frames: 0..0,
                 value: None,
                 threshold: None,
                 unit: "",
-                message: left.why,
+                message: left.why.clone(),
+                other: None,
+                other_demo: None,
             });
-            self.listed.push(Listed::new(&left.demo, 0, Vec::new(), 0.0));
         }
     }
 }
+
+/// The rules whose modes are compared with those of the pipeline.
+const RULES: [Rule; 4] = [Rule::GripperCommand, Rule::Grasp, Rule::Evidence, Rule::RigidMotion];
 
 impl Runner {
     /// Makes the `audit` artifact, or returns the existing one.
@@ -95,12 +107,14 @@ impl Runner {
             .input("episodes", episodes.artifact.key())
             .input("modes", modes.artifact.key());
         self.build(&recipe, |writer| {
+            let left = left_out(&episodes.artifact)?;
             let mut audited = if self.pipeline.task.is_planar() {
                 self.audit_planar(&episodes.artifact)?
             } else {
-                self.audit_spatial(&episodes.artifact, &modes.artifact, &Ok)?
+                self.audit_spatial(&episodes.artifact, &modes.artifact, &left, &Ok)?
             };
-            audited.report_left_out(left_out(&episodes.artifact)?);
+            let kept = episodes.artifact.manifest().summary["episodes"].as_u64();
+            audited.report_left_out(&left, kept.unwrap_or_default() as usize);
             audited
                 .findings
                 .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
@@ -124,50 +138,124 @@ impl Runner {
         modes: &Artifact,
         transform: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
     ) -> Result<Vec<Finding>> {
-        Ok(self.audit_spatial(episodes, modes, transform)?.findings)
+        Ok(self.audit_spatial(episodes, modes, &[], transform)?.findings)
+    }
+
+    /// The demonstrations of a dataset with their segmentation, and after them those that were left out although they can be read.
+    /// Grasps are judged by the gripper command, so demonstrations with other modes are segmented again.
+    fn demos_to_audit<'a>(
+        &'a self,
+        episodes: &Artifact,
+        modes: &Artifact,
+        left: &'a [LeftOut],
+        transform: &'a dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
+    ) -> Result<impl Iterator<Item = Result<Audible>> + use<'a>> {
+        let config = &self.pipeline.segment;
+        let by_command = SegmentConfig {
+            rule: Rule::GripperCommand,
+            ..config.clone()
+        };
+        let kept = SegmentedEpisodes::open(episodes, modes)?.map(move |demo| {
+            let demo = transform(demo?)?;
+            let modes = demo.segmented.modes.clone();
+            let demo = match config.rule {
+                Rule::Grasp | Rule::Evidence => SpatialDemo {
+                    segmented: segment_spatial(&demo.episode, &by_command)?,
+                    ..demo
+                },
+                _ => demo,
+            };
+            Ok(Audible {
+                demo,
+                modes,
+                kept: true,
+            })
+        });
+        let by_command = SegmentConfig {
+            rule: Rule::GripperCommand,
+            ..config.clone()
+        };
+        let first = episodes.manifest().summary["episodes"].as_u64().unwrap_or_default() as u32;
+        let others = LeftOutEpisodes::open(episodes, left)?.map(move |read| {
+            let (number, episode) = read?;
+            let modes = segment_spatial(&episode, config)?.modes;
+            let segmented = segment_spatial(&episode, &by_command)?;
+            let demo = SpatialDemo {
+                number: first + number,
+                episode,
+                segmented,
+            };
+            Ok(Audible {
+                demo,
+                modes,
+                kept: false,
+            })
+        });
+        Ok(kept.chain(others))
     }
 
     fn audit_spatial(
         &self,
         episodes: &Artifact,
         modes: &Artifact,
+        left: &[LeftOut],
         transform: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
     ) -> Result<Audited> {
         // Demonstrations are read twice: thresholds depend on all of them, and they need not fit in memory.
-        let read = || -> Result<_> { Ok(SegmentedEpisodes::open(episodes, modes)?.map(|demo| transform(demo?))) };
+        let read = || self.demos_to_audit(episodes, modes, left, transform);
         let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
         let demos = SpatialEpisodes::open(episodes)?.demos();
-        let bar = self.notes.progress(2 * demos as u64, "audit");
-        let given = |code: &'static str| self.pipeline.audit.threshold(code).or_else(|| constant(code));
-        let limits = GraspLimits {
-            closed: given("missed_grasp").unwrap_or(gripper.closed),
-            lost: given("lost_grasp").unwrap_or_default(),
-            flicker: given("flicker").unwrap_or_default().ceil() as usize,
-        };
+        let bar = self.notes.progress(2 * (demos + left.len()) as u64, "audit");
+        let limits = self.grasp_limits(gripper.closed);
         let mut observations = Vec::with_capacity(demos);
         let mut listed = Vec::with_capacity(demos);
+        let mut numbers = Vec::new();
+        let mut sketches = Vec::with_capacity(demos);
         for batch in in_batches(read()?) {
             self.interrupt.check("audit")?;
-            let demos = batch?;
-            observations.par_extend(demos.par_iter().map(|demo| observe_spatial(demo, &limits)));
-            listed.extend(demos.iter().map(list_spatial));
-            bar.inc(demos.len() as u64);
-        }
-        let thresholds = Thresholds::derive(&observations, &self.pipeline.audit, false, gripper.closed);
-        let mut findings = audit_copies(&observations, &thresholds);
-        let mut grasps = Vec::new();
-        for batch in in_batches(read()?) {
-            self.interrupt.check("audit")?;
-            let demos = batch?;
-            let audits: Vec<_> = demos
-                .par_iter()
-                .map(|demo| audit_spatial(demo, &thresholds, &limits))
-                .collect();
-            for (demo, audit) in demos.iter().zip(audits) {
-                findings.extend(audit.findings);
-                grasps.extend(audit.grasps.into_iter().filter_map(|judged| list_grasp(demo, judged)));
+            let batch = batch?;
+            observations.par_extend(batch.par_iter().map(|own| observe_spatial(&own.demo, &limits)));
+            let kept = batch.par_iter().filter(|own| own.kept);
+            sketches.par_extend(kept.map(|own| self.sketch_spatial(&own.demo)));
+            for own in &batch {
+                // Demonstrations without readable frames have a number, too.
+                listed.resize_with(own.demo.number as usize, || Listed::new("", 0, Vec::new(), 0.0));
+                // The frames of a demonstration that was left out are in no other table.
+                listed.push(if own.kept {
+                    list_spatial(&own.demo)
+                } else {
+                    Listed::new(&own.demo.episode.name, 0, Vec::new(), 0.0)
+                });
+                numbers.extend((!own.kept).then_some(own.demo.number));
             }
-            bar.inc(demos.len() as u64);
+            bar.inc(batch.len() as u64);
+        }
+        for (number, left) in left.iter().enumerate() {
+            match listed.get_mut(demos + number) {
+                Some(listed) => listed.row.demo.clone_from(&left.demo),
+                None => listed.push(Listed::new(&left.demo, 0, Vec::new(), 0.0)),
+            }
+        }
+        // Demonstrations that contradict the others have no part in the thresholds.
+        let usual = observations.len() - numbers.len();
+        let thresholds = Thresholds::derive(&observations[..usual], &self.pipeline.audit, false, gripper.closed)
+            .with_recorded_goals(recorded_goals(episodes)?);
+        let mut findings = audit_copies(&observations, &thresholds);
+        let (mut grasps, mut agreements) = (Vec::new(), Vec::new());
+        for batch in in_batches(read()?) {
+            self.interrupt.check("audit")?;
+            let batch = batch?;
+            let audits: Vec<_> = batch
+                .par_iter()
+                .map(|own| Ok((audit_spatial(&own.demo, &thresholds, &limits), self.agreement(own)?)))
+                .collect::<Result<_>>()?;
+            for (own, (audit, agreement)) in batch.iter().zip(audits) {
+                findings.extend(audit.findings);
+                let judged = audit.grasps.into_iter().filter(|_| own.kept);
+                grasps.extend(judged.filter_map(|judged| list_grasp(&own.demo, judged)));
+                agreements.extend(agreement);
+            }
+            bar.inc(batch.len() as u64);
         }
         bar.finish_and_clear();
         Ok(Audited {
@@ -176,7 +264,46 @@ impl Runner {
             findings,
             grasps,
             contacts: None,
+            sketches,
+            agreements,
         })
+    }
+
+    /// The limits by which grasps are judged.
+    fn grasp_limits(&self, closed: f64) -> GraspLimits {
+        let given = |code: &'static str| self.pipeline.audit.threshold(code).or_else(|| constant(code));
+        GraspLimits {
+            closed: given("missed_grasp").unwrap_or(closed),
+            lost: given("lost_grasp").unwrap_or_default(),
+            flicker: given("flicker").unwrap_or_default().ceil() as usize,
+            frozen: given("frozen_object").unwrap_or_default().ceil() as usize,
+            swapped: given("swapped_object").unwrap_or_default(),
+        }
+    }
+
+    /// Compares the modes of a demonstration with those by each rule.
+    fn agreement(&self, own: &Audible) -> Result<Vec<RuleAgreementRow>> {
+        let config = &self.pipeline.segment;
+        let demo = &own.demo;
+        RULES
+            .into_iter()
+            .map(|rule| {
+                let configured = rule == config.rule;
+                let modes = if configured {
+                    own.modes.clone()
+                } else {
+                    segment_spatial(&demo.episode, &SegmentConfig { rule, ..config.clone() })?.modes
+                };
+                Ok(RuleAgreementRow::new(
+                    demo.number,
+                    &demo.episode.name,
+                    rule,
+                    configured,
+                    &modes,
+                    &own.modes,
+                ))
+            })
+            .collect()
     }
 
     /// Audits Push-T demonstrations. Their evidence is a function of their frames, so they are segmented again and the `modes`
@@ -212,10 +339,33 @@ impl Runner {
             thresholds,
             contacts: Some(contacts.flatten().collect()),
             listed: demos.iter().map(list_planar).collect(),
+            sketches: demos.par_iter().map(|demo| self.sketch_planar(demo)).collect(),
             findings,
             grasps: Vec::new(),
+            agreements: Vec::new(),
         })
     }
+}
+
+/// A demonstration to audit.
+struct Audible {
+    /// Segmented by the gripper command, or by the pipeline's rule if that is not about the gripper.
+    demo: SpatialDemo,
+    /// Modes by the pipeline's rule.
+    modes: Vec<Mode>,
+    /// Whether it is in the artifact. Otherwise it was left out.
+    kept: bool,
+}
+
+/// Whether the dataset records absolute actions.
+fn recorded_goals(episodes: &Artifact) -> Result<bool> {
+    if !episodes.has::<Convention>() {
+        return Ok(true);
+    }
+    let rows: Vec<Convention> = episodes.read()?;
+    Ok(rows
+        .iter()
+        .any(|row| &*row.convention == "action_kind" && &*row.value == "absolute"))
 }
 
 /// The built-in threshold of a check.
@@ -298,8 +448,10 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
         }
     }))?;
     writer.write_rows(audited.listed.iter().map(|listed| listed.row.clone()))?;
+    writer.write_rows(re4_scores::score(&audited.sketches))?;
     if audited.contacts.is_none() {
         writer.write_rows(audited.grasps.iter().cloned())?;
+        writer.write_rows(audited.agreements.iter().cloned())?;
     }
     Ok(())
 }

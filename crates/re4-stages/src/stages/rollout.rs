@@ -2,6 +2,7 @@
 
 mod budgets;
 mod estimators;
+mod influence;
 mod plane;
 mod space;
 
@@ -9,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use re4_artifact::{Artifact, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
-use re4_rollout::{ActTimes, Batch, Harness, MakeEnv, MakeSource, Recorded, Start};
+use re4_rollout::{ActTimes, Batch, Harness, MakeEnv, MakeSource, Opened, Recorded, Start};
 use re4_stats::Durations;
 use serde_json::{Map, Value, json};
 
@@ -19,6 +20,7 @@ use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
 
 pub use budgets::BudgetRow;
+pub use influence::{Checked, Influenced, Judge};
 pub use plane::read_rollouts;
 pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};
 
@@ -63,6 +65,19 @@ impl Runner {
     /// # Errors
     /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
     pub fn roll_out(&self) -> Result<(Built, Option<Built>)> {
+        let (built, scenes) = self.with_artifacts(&|policy, artifacts| match policy {
+            Policy::Plane(policy) => self.rollout_plane(policy, artifacts),
+            Policy::Space(policy) => self.rollout_space(policy, artifacts),
+        })?;
+        Ok((built, scenes))
+    }
+
+    /// Runs all stages that rollouts need, and then `make` with their artifacts. Returns its result and, if rollouts start from
+    /// scenes, the `scenes` artifact.
+    pub(crate) fn with_artifacts<R>(
+        &self,
+        make: &dyn Fn(&Policy, &RolloutArtifacts<'_>) -> Result<R>,
+    ) -> Result<(R, Option<Built>)> {
         // A missing table [rollout] is reported before the first stage runs.
         let (policy, _) = (self.pipeline.policy()?, self.pipeline.rollout()?);
         let planar = self.pipeline.task.is_planar();
@@ -102,11 +117,28 @@ impl Runner {
             scenes: scenes.as_ref(),
             inputs: &inputs,
         };
-        let built = match policy {
-            Policy::Plane(policy) => self.rollout_plane(policy, &artifacts)?,
-            Policy::Space(policy) => self.rollout_space(policy, &artifacts)?,
-        };
-        Ok((built, scenes))
+        let made = make(policy, &artifacts)?;
+        Ok((made, scenes))
+    }
+
+    /// Opens the policy.
+    fn opened<D: Recorded>(
+        &self,
+        setup: &RolloutSetup<'_, '_, D>,
+        artifacts: &RolloutArtifacts<'_>,
+    ) -> Result<Box<dyn Opened<D>>> {
+        let inputs: Vec<(Stage, &Artifact)> = artifacts
+            .inputs
+            .iter()
+            .map(|built| (built.stage, &built.artifact))
+            .collect();
+        Ok(setup.policy.open(&Inputs {
+            artifacts: &inputs,
+            episodes: &artifacts.episodes.artifact,
+            task: self.pipeline.task.robosuite(),
+            names: demo_names(&artifacts.episodes.artifact)?,
+            symmetry: setup.symmetry,
+        })?)
     }
 
     /// Rolls out from `starts` and writes the tables that all domains and policies have. Calls `add` with each batch of rows.
@@ -118,18 +150,7 @@ impl Runner {
         writer: &Writer,
         add: &mut dyn FnMut(&Batch<D>),
     ) -> Result<()> {
-        let inputs: Vec<(Stage, &Artifact)> = artifacts
-            .inputs
-            .iter()
-            .map(|built| (built.stage, &built.artifact))
-            .collect();
-        let opened = setup.policy.open(&Inputs {
-            artifacts: &inputs,
-            episodes: &artifacts.episodes.artifact,
-            task: self.pipeline.task.robosuite(),
-            names: demo_names(&artifacts.episodes.artifact)?,
-            symmetry: setup.symmetry,
-        })?;
+        let opened = self.opened(setup, artifacts)?;
         let bar = self.notes.progress(starts.len() as u64, "rollouts");
         // Called after every rollout; false stops the harness.
         let going = || {

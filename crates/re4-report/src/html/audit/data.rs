@@ -1,9 +1,12 @@
 //! The data of the page's script: one JSON object, in which columns with one value per frame are packed as base64.
 
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
 use re4_audit::{AuditedEpisodeRow, FindingRow, Severity};
+use re4_scores::{Better, KINDS, ScoreRow, ranks};
 use serde_json::{Value, json};
 
-use super::{Audit, Flag, Grasp, Panel, SEVERITIES, Segment, Series};
+use super::{Audit, Flag, Grasp, Panel, SEVERITIES, Segment, Series, Shot};
 use crate::html::pack::{Pack, f32s};
 
 /// Code of a flag whose value is unknown at a frame. The known values are 0 and 1.
@@ -35,6 +38,8 @@ pub(super) fn json(audit: &Audit) -> Value {
         "outline": audit.outline,
         "flags": audit.flags.iter().map(flag).collect::<Vec<_>>(),
         "panels": audit.panels.iter().map(panel).collect::<Vec<_>>(),
+        "scores": scores(&audit.scores, place),
+        "shots": shots(&audit.shots),
     })
 }
 
@@ -100,6 +105,41 @@ fn grasps(grasps: &[Grasp], place: impl Fn(u32) -> usize) -> Value {
         .list("end", |g| g.end_frame)
         .list("outcome", |g| g.outcome.as_str())
         .list("position", |g| g.position)
+        .json()
+}
+
+/// The scores of the demonstrations, by column, each with its name, which values are better, values and ranks.
+fn scores(rows: &[ScoreRow], place: impl Fn(u32) -> usize) -> Value {
+    let column = |name: &str, title: &str, better: Better, value: &dyn Fn(&ScoreRow) -> [Option<f64>; 2]| {
+        json!({
+            "name": name,
+            "title": title,
+            "better": match better { Better::Higher => "higher", Better::Lower => "lower", Better::Neither => "neither" },
+            "values": rows.iter().map(|row| value(row)[0]).collect::<Vec<_>>(),
+            "ranks": rows.iter().map(|row| value(row)[1]).collect::<Vec<_>>(),
+        })
+    };
+    let quality: Vec<Option<f64>> = rows.iter().map(|row| row.quality).collect();
+    let quality_ranks = ranks(&quality, true);
+    let mut overall = column("quality", "quality", Better::Higher, &|row| [row.quality, None]);
+    overall["ranks"] = json!(quality_ranks);
+    let kinds = KINDS.iter().map(|kind| {
+        column(kind.column, kind.title, kind.better, &|row| {
+            [(kind.value)(&row.scores), (kind.rank)(&row.rank)]
+        })
+    });
+    json!({
+        "demo": rows.iter().map(|row| place(row.episode)).collect::<Vec<_>>(),
+        "nearest": rows.iter().map(|row| row.nearest.map(&place)).collect::<Vec<_>>(),
+        "columns": std::iter::once(overall).chain(kinds).collect::<Vec<_>>(),
+    })
+}
+
+fn shots(shots: &[Shot]) -> Value {
+    Pack::of(shots)
+        .list("finding", |shot| shot.finding)
+        .list("frame", |shot| shot.frame)
+        .list("png", |shot| BASE64_STANDARD.encode(&shot.png))
         .json()
 }
 

@@ -6,11 +6,13 @@
 //! series. Numbers in text are the 64-bit values of the artifact.
 
 mod data;
+mod scores;
 mod sections;
 
 use maud::{Markup, html};
 use re4_artifact::episodes::Convention;
 use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, Severity};
+use re4_scores::ScoreRow;
 
 use super::shell::Document;
 
@@ -51,6 +53,21 @@ pub struct Audit {
     pub flags: Vec<Flag>,
     /// Numeric evidence by frame, one entry per plot.
     pub panels: Vec<Panel>,
+    /// Quality scores, sorted by demonstration; empty for artifacts without them.
+    pub scores: Vec<ScoreRow>,
+    /// Camera images at findings, in the order of the findings.
+    pub shots: Vec<Shot>,
+}
+
+/// A camera image at a finding.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shot {
+    /// Place of the finding in the list of findings.
+    pub finding: usize,
+    /// Frame of the image.
+    pub frame: u32,
+    /// The bytes of a PNG file.
+    pub png: Vec<u8>,
 }
 
 /// The unit in which a quantity is shown.
@@ -154,13 +171,15 @@ pub struct Series {
 pub(crate) const SEVERITIES: [Severity; 3] = [Severity::Error, Severity::Warning, Severity::Note];
 
 /// Script parts of this page. They run after the parts that all pages have.
-const SCRIPT: [&str; 7] = [
+const SCRIPT: [&str; 9] = [
     include_str!("script/data.js"),
     include_str!("script/state.js"),
+    include_str!("script/keep.js"),
     include_str!("script/filters.js"),
     include_str!("script/timelines.js"),
     include_str!("script/evidence.js"),
     include_str!("script/grasps.js"),
+    include_str!("script/scores.js"),
     include_str!("script/main.js"),
 ];
 
@@ -183,7 +202,10 @@ fn body(audit: &Audit) -> Markup {
         (sections::header(audit))
         main {
             (sections::findings(audit))
+            (scores::left_out(audit))
             (sections::workbench(audit))
+            (scores::keep_list(audit))
+            (scores::scores(audit))
             (sections::dataset(audit))
             (sections::checks(audit))
             (sections::conventions(audit))

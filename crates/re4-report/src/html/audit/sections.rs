@@ -195,6 +195,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                             option value="length" { "length" }
                             option value="fraction" { "fraction of transfer" }
                             option value="grasp" { "first grasp" }
+                            (super::scores::orders(audit))
                         } }
                         button #reverse type="button" aria-pressed="false" title="Reverse the order" aria-label="Reverse the order" { "⇅" }
                         label.grow { span.hidden { "Filter by text" } input #filter-text type="search" placeholder="Name or finding" title="Show only demonstrations whose name or findings contain this text" autocomplete="off"; }
@@ -224,6 +225,7 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                         div {
                             h2 #evidence-title {}
                             p.detail #evidence-summary {}
+                            p.detail #evidence-scores {}
                         }
                         div.pair {
                             button #previous-demo type="button" aria-label="Previous demonstration" title="Previous demonstration (↑)" { "‹" }
@@ -231,6 +233,11 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
                         }
                     }
                     ul #evidence-findings aria-label="Findings of this demonstration" {}
+                    div #shots aria-label="Camera images at the findings" {}
+                    div.controls {
+                        label.check { input #keep-this type="checkbox" checked; span { "Keep this demonstration" } }
+                        label { span { "Compare with" } select #compare {} }
+                    }
                     div.row {
                         p.hint #readout aria-live="off" {}
                         button #whole type="button" disabled { "All frames" }

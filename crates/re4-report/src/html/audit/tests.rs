@@ -44,6 +44,8 @@ fn audit() -> Audit {
         outline: None,
         contacts: None,
         conventions: Vec::new(),
+        scores: Vec::new(),
+        shots: Vec::new(),
         flags: vec![Flag {
             label: "holds".to_owned(),
             values: vec![Some(true), None, Some(false), Some(true), None],
@@ -88,6 +90,8 @@ fn finding(episode: u32) -> FindingRow {
         threshold: None,
         unit: "m".into(),
         message: "it </script> slipped".to_owned(),
+        other_episode: None,
+        other_demo: None,
         demo_name: None,
     }
 }
@@ -154,4 +158,87 @@ fn an_empty_audit_has_a_page() {
     };
     let text = page(&empty);
     assert!(text.contains("0 demonstrations") && !text.contains("NaN"));
+}
+
+/// Scores of demonstrations 0 and 7: the first one is shorter and straighter.
+fn scored() -> Audit {
+    let line = |frames: usize, wobble: f64| {
+        let at = |frame: usize| [frame as f64 / frames as f64, wobble * (frame % 2) as f64, 0.0].into();
+        let eef: Vec<nalgebra::Vector3<f64>> = (0..frames).map(at).collect();
+        re4_scores::Motion {
+            steps: eef.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect(),
+            object: vec![nalgebra::Vector3::zeros(); frames],
+            fingers: Vec::new(),
+            states: vec![[0.0; 7]; frames],
+            actions: vec![[0.0; 7]; frames],
+            segments: vec![re4_episode::Segment {
+                mode: re4_episode::Mode::Transit,
+                frames: 0..frames,
+            }],
+            eef,
+            period: 0.05,
+        }
+    };
+    let sketches =
+        [(0, line(20, 0.0)), (7, line(60, 0.1))].map(|(episode, motion)| re4_scores::Sketch::of(episode, &motion));
+    Audit {
+        scores: re4_scores::score(&sketches),
+        shots: vec![Shot {
+            finding: 1,
+            frame: 2,
+            png: b"png".to_vec(),
+        }],
+        ..audit()
+    }
+}
+
+#[test]
+fn scores_refer_to_demonstrations_by_their_place_and_keep_all_digits() {
+    let audit = scored();
+    let text = page(&audit);
+    let data = data_of(&text);
+    assert_eq!(data["scores"]["demo"], serde_json::json!([0, 1]));
+    assert_eq!(data["scores"]["nearest"], serde_json::json!([1, 0]));
+    let column = |name: &str| {
+        let columns = data["scores"]["columns"].as_array().unwrap();
+        columns.iter().find(|column| column["name"] == name).unwrap().clone()
+    };
+    let efficiency = audit.scores[1].scores.path_efficiency.unwrap();
+    assert_eq!(column("path_efficiency")["values"][1], efficiency);
+    assert_eq!(column("duration")["ranks"], serde_json::json!([1.0, 2.0]));
+    assert_eq!(column("quality")["ranks"], serde_json::json!([1.0, 2.0]));
+    // Scores that no demonstration has are not offered.
+    assert!(text.contains("option value=\"score duration\"") && !text.contains("option value=\"score regrasps\""));
+    // Duration and path efficiency rank both demonstrations in the same order.
+    assert!(text.contains("class=\"figure\" data-value=\"1\""));
+}
+
+#[test]
+fn camera_images_belong_to_findings() {
+    let data = data_of(&page(&scored()));
+    assert_eq!(
+        (&data["shots"]["finding"][0], &data["shots"]["frame"][0]),
+        (&Value::from(1), &Value::from(2))
+    );
+    assert_eq!(
+        BASE64_STANDARD
+            .decode(data["shots"]["png"][0].as_str().unwrap())
+            .unwrap(),
+        b"png"
+    );
+}
+
+#[test]
+fn what_was_left_out_is_listed_with_the_reason() {
+    assert!(!page(&audit()).contains("id=\"left-out\""));
+    let left_out = Audit {
+        findings: vec![FindingRow {
+            code: "left_out".into(),
+            message: "row 3 is <missing>".to_owned(),
+            ..finding(7)
+        }],
+        ..audit()
+    };
+    let text = page(&left_out);
+    assert!(text.contains("data-left-out=\"demo_7\"") && text.contains("row 3 is &lt;missing&gt;"));
 }

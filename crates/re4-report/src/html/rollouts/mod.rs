@@ -245,8 +245,8 @@ pub trait Scene: Clone + std::fmt::Debug {
     fn step(row: &Self::Step) -> &StepCore;
     /// Returns the part of a decision that all scenes have.
     fn decision(row: &Self::Decision) -> &DecisionCore;
-    /// Returns the number of the demonstration of a frame, and the frame's numbers.
-    fn frame(frame: &Self::Frame) -> (u32, Vec<f64>);
+    /// Returns the number of the demonstration of a frame, the number of the frame, and the frame's numbers.
+    fn frame(frame: &Self::Frame) -> (u32, u32, Vec<f64>);
     /// Returns the numbers of a rollout's first state.
     fn start(rollout: &Rollout<Self>) -> Vec<f64>;
     /// Adds the columns of rollouts that only this scene has.

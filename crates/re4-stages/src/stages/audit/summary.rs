@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Matrix4, Quaternion, SymmetricEigen, UnitQuaternion};
-use re4_audit::{AuditedEpisodeRow, GraspRow, Severity};
+use re4_audit::{AuditedEpisodeRow, GraspRow, RuleAgreementRow, Severity, Thresholds};
 use re4_episode::Mode;
 use re4_stats::{median, quantile, sorted};
 use serde_json::{Map, Value, json};
@@ -108,8 +108,37 @@ pub(super) fn summary(audited: &Audited) -> Value {
         answer["contacts"] = contacts.to_json();
     } else {
         answer["grasps"] = grasps(&audited.grasps);
+        answer["rules"] = rules(&audited.agreements);
     }
+    answer["not_made"] = not_made(&audited.thresholds);
     answer
+}
+
+/// The checks that could not be made, with the reasons.
+fn not_made(thresholds: &Thresholds) -> Value {
+    let skipped = thresholds.iter().filter(|(_, threshold)| !threshold.made);
+    skipped
+        .map(|(check, threshold)| (check.code.to_owned(), json!(threshold.derivation)))
+        .collect::<Map<_, _>>()
+        .into()
+}
+
+/// How far the modes by each rule agree with those of the artifact: the mean over demonstrations, and the minimum
+/// over demonstrations.
+fn rules(rows: &[RuleAgreementRow]) -> Value {
+    let mut by_rule: BTreeMap<&str, (bool, Vec<f64>)> = BTreeMap::new();
+    for row in rows {
+        let entry = by_rule.entry(&*row.rule).or_default();
+        entry.0 = row.configured;
+        entry.1.push(row.agreement);
+    }
+    let described = by_rule.into_iter().map(|(rule, (configured, agreements))| {
+        let mean = agreements.iter().sum::<f64>() / agreements.len().max(1) as f64;
+        let least = agreements.iter().copied().reduce(f64::min);
+        let row = json!({ "configured": configured, "agreement": mean, "least": least });
+        (rule.to_owned(), row)
+    });
+    Value::Object(described.collect())
 }
 
 /// Minimum, quartiles and maximum; null if there are no values.

@@ -6,6 +6,7 @@ use anyhow::Result;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, SixAxis, Stage};
 use re4_audit::{CheckRow, FindingRow, SpatialDemo};
 use re4_fault::bail;
+use re4_index::trim::kept;
 use re4_index::{IndexRow, SpatialState};
 use serde_json::json;
 
@@ -44,6 +45,10 @@ impl Runner {
         if poses.is_some() && estimates != Estimates::default() {
             config["estimates"] = json!(estimates);
         }
+        let trim = &self.pipeline.index()?.trim;
+        if !trim.is_empty() {
+            config["trim"] = json!(trim);
+        }
         let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
             .config(&config)?
             .input("episodes", episodes.artifact.key())
@@ -63,7 +68,7 @@ impl Runner {
                 _ => BTreeMap::new(),
             };
             let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
-            let (mut demos, mut frames, mut retrievable) = (0_u64, 0_u64, 0_u64);
+            let (mut demos, mut frames, mut retrievable, mut cut) = (0_u64, 0_u64, 0_u64, 0_u64);
             let mut table = writer.rows()?;
             for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
                 self.interrupt.check("index")?;
@@ -72,11 +77,13 @@ impl Runner {
                     estimated.put_into(&mut demo, estimates)?;
                 }
                 let end = ends.get(&demo.number).copied().unwrap_or(0) as usize;
-                let count = demo.episode.frames.len();
+                let kept = kept(&demo.episode.frames, trim);
+                let count = kept.iter().filter(|kept| **kept).count();
                 demos += 1;
                 frames += count as u64;
-                retrievable += count.saturating_sub(end) as u64;
-                table.extend(rows(&demo, end))?;
+                cut += (kept.len() - count) as u64;
+                retrievable += kept.iter().skip(end).filter(|kept| **kept).count() as u64;
+                table.extend(rows(&demo, end).zip(kept).filter_map(|(row, kept)| kept.then_some(row)))?;
             }
             table.finish()?;
             if let Some(estimated) = &estimated {
@@ -88,8 +95,12 @@ impl Runner {
                     "name fewer checks in index.leave_out"
                 );
             }
+            let mut summary = json!({ "episodes": demos, "frames": frames, "retrievable_frames": retrievable });
+            if !trim.is_empty() {
+                summary["trimmed_frames"] = json!(cut);
+            }
             Ok(ArtifactSummary {
-                summary: json!({ "episodes": demos, "frames": frames, "retrievable_frames": retrievable }),
+                summary,
                 warnings: Vec::new(),
             })
         })

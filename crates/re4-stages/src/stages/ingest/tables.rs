@@ -8,8 +8,8 @@ use anyhow::Result;
 use re4_artifact::{Row, RowWriter, Writer};
 use re4_fault::fault;
 use re4_ingest::{
-    DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, Matrix, ModelRow, PlanarColumns, SpatialColumns,
-    StateRow, Tally,
+    DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, LeftOutFrameRow, Matrix, ModelRow, PlanarColumns,
+    SpatialColumns, StateRow, Tally,
 };
 
 /// Rows per row group. A group is encoded while the next one is read.
@@ -150,6 +150,32 @@ fn write_frames(writer: &Writer, demos: &Receiver<(u32, Frames)>) -> Result<()> 
     }
     plane.finish()?;
     space.finish()
+}
+
+/// A writer of table `left_out_frames`.
+pub(super) struct LeftOutFrames<'a>(Begun<'a, LeftOutFrameRow<SpatialColumns>>);
+
+impl<'a> LeftOutFrames<'a> {
+    /// The table is created with its first row.
+    pub(super) fn new(writer: &'a Writer) -> Self {
+        Self(Begun::new(writer))
+    }
+
+    /// Writes the frames of a demonstration; `left_out` is its number among those left out. Planar frames are not kept.
+    pub(super) fn write(&mut self, left_out: usize, frames: Frames) -> Result<()> {
+        let Frames::Spatial(frames) = frames else { return Ok(()) };
+        let rows = (0..).zip(frames).map(|(frame, recorded)| LeftOutFrameRow {
+            left_out: left_out as u32,
+            frame,
+            recorded,
+        });
+        self.0.extend(rows)
+    }
+
+    /// Finishes the table, if there is one.
+    pub(super) fn finish(self) -> Result<()> {
+        self.0.finish()
+    }
 }
 
 /// A writer of table `images`.

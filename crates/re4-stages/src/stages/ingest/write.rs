@@ -7,14 +7,14 @@ use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Store, Writer};
 use re4_fault::{OrFault as _, ensure, fault};
 use re4_ingest::robomimic::GoalErrors;
-use re4_ingest::{Convention, DemoName, DemoSource, Frames, LeftOut, OnBad, Tally, WarningCode};
+use re4_ingest::{Convention, DemoName, DemoSource, Episode, Frames, LeftOut, OnBad, Tally, WarningCode};
 use re4_sim::{Canvas, OBSERVATION_SIDE};
 use serde_json::{Map, Value, json};
 
 use super::STAGE;
 use super::rendered::Rendering;
 use super::spool::Spool;
-use super::tables::{ImageTable, write_tables};
+use super::tables::{ImageTable, LeftOutFrames, write_tables};
 use crate::inputs::images::encode_png;
 use crate::interrupt::Interrupt;
 use crate::pipeline::IngestSection;
@@ -89,7 +89,8 @@ impl Ingest<'_> {
         }
         let demos = source.demos().len();
         let refuse = self.section.on_bad == OnBad::Refuse;
-        let mut left = Vec::new();
+        let mut left: Vec<LeftOut> = Vec::new();
+        let mut left_frames = LeftOutFrames::new(writer);
         let mut tally = write_tables(writer, |take| {
             source.episodes(|place, episode| {
                 self.interrupt.check(STAGE)?;
@@ -98,6 +99,17 @@ impl Ingest<'_> {
                 let known = excluded.iter().find(|left| left.demo == *name);
                 match known.map_or(episode, |known| Err(known.clone())) {
                     Err(bad) => left.push(bad),
+                    Ok(Episode {
+                        contradiction: Some(why),
+                        frames,
+                        ..
+                    }) => {
+                        if !refuse {
+                            left_frames.write(left.len(), frames)?;
+                        }
+                        let demo = name.clone();
+                        left.push(LeftOut { demo, why });
+                    }
                     // The dataset will be refused; the rest is read only to find all bad demonstrations.
                     Ok(_) if refuse && !left.is_empty() => {}
                     Ok(episode) => take(episode)?,
@@ -105,6 +117,7 @@ impl Ingest<'_> {
                 anyhow::Ok(())
             })
         })?;
+        left_frames.finish()?;
         tally.left_out = left;
         self.refuse(&tally.left_out, demos, refuse || tally.demos.is_empty())?;
         if let Some(compare) = self.compare {
@@ -232,7 +245,7 @@ impl Ingest<'_> {
     fn read_kept<S: DemoSource>(
         source: &S,
         kept: &[(DemoName, usize)],
-        mut take: impl FnMut(u32, re4_ingest::Episode) -> Result<()>,
+        mut take: impl FnMut(u32, Episode) -> Result<()>,
     ) -> Result<()> {
         let mut number = 0;
         source.episodes(|_, episode| match episode {

@@ -34,33 +34,12 @@ impl Runner {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
         self.build(&recipe, |writer| {
-            let estimator = match artifacts.poses {
-                Some(poses) => Some(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
-                None => None,
-            };
-            let env = |_: &Start<Plane>| -> Result<Box<dyn Env<Plane>>, _> { Ok(Box::new(PushTEnv::new()?)) };
-            let noise = self.pipeline.rollout()?.noise.filter(NoiseSection::is_noisy);
-            let source = |seed| match (&estimator, noise) {
-                (Some(estimator), _) => Source::Image {
-                    camera: "image".to_owned(),
-                    estimator: Box::new(LogPolar::new(estimator)),
-                },
-                (None, Some(noise)) => {
-                    let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
-                    Source::Noisy(Box::new(move |pose| errors.perturb_planar(pose)))
-                }
-                (None, None) => Source::Recorded,
-            };
             let starts = self.starts(artifacts.scenes)?;
             let mut summary = Summary::up_to(self.pipeline.rollout()?.max_steps);
             let add = &mut |batch: &Batch<Plane>| summary.add(&batch.results, &batch.steps);
-            let setup = RolloutSetup {
-                policy: policy.settings(),
-                symmetry: Symmetry::None,
-                env: &env,
-                source: &source,
-            };
-            self.record(&setup, artifacts, &mut starts.into_iter(), writer, add)?;
+            self.with_plane(policy, artifacts, |setup| {
+                self.record(setup, artifacts, &mut starts.into_iter(), writer, add)
+            })?;
             writer.write_rows(summary.budgets.rows())?;
             let mut protocol = json!({
                 "measure": "maximum value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
@@ -83,8 +62,46 @@ impl Runner {
         })
     }
 
-    fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start<Plane>>> {
-        let mut starts = self.scenes_of_starts(scenes)?;
+    /// Calls `body` with the policy, its environments and its observations.
+    pub(super) fn with_plane<R>(
+        &self,
+        policy: &PlanePolicy,
+        artifacts: &RolloutArtifacts<'_>,
+        body: impl FnOnce(&RolloutSetup<'_, '_, Plane>) -> Result<R>,
+    ) -> Result<R> {
+        let estimator = match artifacts.poses {
+            Some(poses) => Some(Arc::new(open_estimator(&poses.artifact, self.pipeline.pose()?)?)),
+            None => None,
+        };
+        let env = |_: &Start<Plane>| -> Result<Box<dyn Env<Plane>>, _> { Ok(Box::new(PushTEnv::new()?)) };
+        let noise = self.pipeline.rollout()?.noise.filter(NoiseSection::is_noisy);
+        let source = |seed| match (&estimator, noise) {
+            (Some(estimator), _) => Source::Image {
+                camera: "image".to_owned(),
+                estimator: Box::new(LogPolar::new(estimator)),
+            },
+            (None, Some(noise)) => {
+                let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
+                Source::Noisy(Box::new(move |pose| errors.perturb_planar(pose)))
+            }
+            (None, None) => Source::Recorded,
+        };
+        body(&RolloutSetup {
+            policy: policy.settings(),
+            symmetry: Symmetry::None,
+            env: &env,
+            source: &source,
+        })
+    }
+
+    /// The scenes that the pipeline asks for, with their goals.
+    pub(super) fn starts(&self, scenes: Option<&Built>) -> Result<Vec<Start<Plane>>> {
+        let starts = self.scenes_of_starts(scenes)?;
+        self.with_goals(starts)
+    }
+
+    /// The same scenes with the goals that the pipeline asks for.
+    pub(super) fn with_goals(&self, mut starts: Vec<Start<Plane>>) -> Result<Vec<Start<Plane>>> {
         let goal = self.pipeline.rollout()?.goal;
         for Start { seed, scene } in &mut starts {
             match goal {
@@ -107,7 +124,7 @@ impl Runner {
     }
 
     /// The settings that determine the start scenes.
-    fn starts_config(&self) -> Result<Value> {
+    pub(super) fn starts_config(&self) -> Result<Value> {
         let section = self.pipeline.rollout()?;
         Ok(match &self.pipeline.scenes {
             Some(scenes) => json!({ "scenes": scenes, "reset": ResetOrder::PoseIsPose }),

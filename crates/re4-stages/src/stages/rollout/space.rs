@@ -9,7 +9,7 @@ use re4_rollout::{
     Batch, Env, Estimator, PoseNoise, RobosuiteEnv, SceneRenderer, Source, Space, SpaceDecisionRow, SpaceResultRow,
     Start,
 };
-use re4_sim::robosuite::{Placement, RobosuiteModel, simulation_steps};
+use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteTask, simulation_steps};
 use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
@@ -68,8 +68,19 @@ impl Runner {
     /// Makes the `rollouts` artifact of a robosuite task, or returns the existing one. The policy observes the simulator's object
     /// pose or, if `artifacts.poses` is given, the estimates of its encoder.
     pub(super) fn rollout_space(&self, policy: &SpacePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
+        self.observed(artifacts, |observer| {
+            self.rollout_with_observer(policy, artifacts, observer)
+        })
+    }
+
+    /// Calls `body` with the observer of the pipeline: the encoder of `artifacts.poses`, or `None` for the simulator's poses.
+    pub(super) fn observed<R>(
+        &self,
+        artifacts: &RolloutArtifacts<'_>,
+        body: impl FnOnce(Option<&ImageObserver<'_>>) -> Result<R>,
+    ) -> Result<R> {
         let Some(poses) = artifacts.poses else {
-            return self.rollout_with_observer(policy, artifacts, None);
+            return body(None);
         };
         let config = self.pipeline.pose()?.encoder().into_owned();
         let open = || -> Result<Box<MakeEstimator>> {
@@ -79,11 +90,10 @@ impl Runner {
                 Box::new(Encoder::new(&predictor, calibration.as_ref()))
             }))
         };
-        let observer = ImageObserver {
+        body(Some(&ImageObserver {
             open: &open,
             wrap: |env| env,
-        };
-        self.rollout_with_observer(policy, artifacts, Some(&observer))
+        }))
     }
 
     /// As [`Self::rollout_space`], with the given estimators.
@@ -93,75 +103,20 @@ impl Runner {
         artifacts: &RolloutArtifacts<'_>,
         observer: Option<&ImageObserver<'_>>,
     ) -> Result<Built> {
-        let section = self.pipeline.rollout()?;
-        let task = self.pipeline.task.robosuite().context("no simulator for this task")?;
-        let symmetry = section.symmetry(task, self.pipeline.variant, policy);
-        let camera = self.pipeline.pose()?.encoder().camera.clone();
-        let mut config = self.rollout_config(json!({
-            "symmetry": symmetry,
-            "noise": section.noise,
-            "fidelity": section.fidelity,
-            "robosuite": profile(&artifacts.episodes.artifact)?,
-            "seeds": section.seeds,
-        }))?;
-        if observer.is_some() {
-            config["images"] = rendering(&camera)?;
-        }
-        let mut recipe = Recipe::new(Stage::Rollout, CODE_VERSION).config(&config)?;
+        let mut recipe =
+            Recipe::new(Stage::Rollout, CODE_VERSION).config(&self.space_config(policy, artifacts, observer)?)?;
         for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
+        let section = self.pipeline.rollout()?;
         let episodes = &artifacts.episodes.artifact;
         self.build(&recipe, |writer| {
-            let scenes = Scenes::open(episodes, task, section.fidelity)?;
-            let mjcf = scenes.first_mjcf()?;
-            // If the seed determines the size of a box (Lift's cube), every seed needs its own compiled model.
-            let shared = (!task.samples_models()).then(|| scenes.compile(mjcf)).transpose()?;
-            let observed = match observer {
-                Some(observer) => Some((
-                    scene_renderer(&scenes, episodes, &camera)?,
-                    (observer.open)()?,
-                    observer.wrap,
-                )),
-                None => None,
-            };
-            let env = |start: &Start<Space>| {
-                let model: RobosuiteModel = match &shared {
-                    Some(model) => model.clone(),
-                    None => scenes.compile(&start.scene.in_model(mjcf)?)?,
-                };
-                let scene_renderer = observed.as_ref().map(|(scene_renderer, ..)| scene_renderer);
-                let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, scene_renderer)?);
-                Ok(match &observed {
-                    Some((.., wrap)) => wrap(env),
-                    None => env,
-                })
-            };
-            let source = |seed: u32| match (&observed, section.noise) {
-                (Some((_, estimator, _)), _) => Source::Image {
-                    camera: camera.clone(),
-                    estimator: estimator(),
-                },
-                (None, Some(noise)) if noise.is_noisy() => {
-                    let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
-                    Source::Noisy(Box::new(move |pose| errors.perturb(pose)))
-                }
-                _ => Source::Recorded,
-            };
-            let seeds = section.seeds.as_ref().context("no seeds to start from")?;
-            let mut starts = seeds.as_slice().iter().map(|&seed| Start {
-                seed,
-                scene: Placement::sample(task, seed),
-            });
-            let setup = RolloutSetup {
-                policy: policy.settings(),
-                symmetry,
-                env: &env,
-                source: &source,
-            };
             let mut summary = Summary::default();
             let add = &mut |batch: &Batch<Space>| summary.add(&batch.results, &batch.decisions);
-            self.record(&setup, artifacts, &mut starts, writer, add)?;
+            let (task, profile) = self.with_space(policy, artifacts, observer, |setup, task, scenes| {
+                self.record(setup, artifacts, &mut self.space_starts(task)?, writer, add)?;
+                Ok((task, scenes.profile()))
+            })?;
             let mut protocol = self.protocol(
                 episodes,
                 json!({
@@ -169,8 +124,8 @@ impl Runner {
                     "intervals": "95 %, Wilson",
                     "seeds": section.seeds,
                     "scene_of_a_seed": "np.random.seed(seed) before a hard reset of robosuite; model of the first demonstration, with the cube size of the seed",
-                    "robosuite": scenes.profile(),
-                    "physics": format!("MuJoCo {}", scenes.profile().mujoco()),
+                    "robosuite": profile,
+                    "physics": format!("MuJoCo {}", profile.mujoco()),
                     "fidelity": section.fidelity,
                     "simulation_steps_per_control_step": simulation_steps(task),
                     "control_frequency_hz": task.control_rate,
@@ -183,6 +138,100 @@ impl Runner {
                 warnings: Vec::new(),
             })
         })
+    }
+}
+
+impl Runner {
+    /// The settings that the key of rollouts depends on besides its inputs.
+    pub(super) fn space_config(
+        &self,
+        policy: &SpacePolicy,
+        artifacts: &RolloutArtifacts<'_>,
+        observer: Option<&ImageObserver<'_>>,
+    ) -> Result<Value> {
+        let section = self.pipeline.rollout()?;
+        let task = self.simulated()?;
+        let mut config = self.rollout_config(json!({
+            "symmetry": section.symmetry(task, self.pipeline.variant, policy),
+            "noise": section.noise,
+            "fidelity": section.fidelity,
+            "robosuite": profile(&artifacts.episodes.artifact)?,
+            "seeds": section.seeds,
+        }))?;
+        if observer.is_some() {
+            config["images"] = rendering(&self.pipeline.pose()?.encoder().camera)?;
+        }
+        Ok(config)
+    }
+
+    fn simulated(&self) -> Result<RobosuiteTask> {
+        self.pipeline.task.robosuite().context("no simulator for this task")
+    }
+
+    /// The scenes that the pipeline asks for.
+    pub(super) fn space_starts(&self, task: RobosuiteTask) -> Result<impl ExactSizeIterator<Item = Start<Space>>> {
+        let seeds = self.pipeline.rollout()?.seeds.as_ref();
+        let seeds = seeds.context("no seeds to start from")?.as_slice();
+        Ok(seeds.iter().map(move |&seed| Start {
+            seed,
+            scene: Placement::sample(task, seed),
+        }))
+    }
+
+    /// Calls `body` with the policy, its environments and its observations.
+    pub(super) fn with_space<R>(
+        &self,
+        policy: &SpacePolicy,
+        artifacts: &RolloutArtifacts<'_>,
+        observer: Option<&ImageObserver<'_>>,
+        body: impl FnOnce(&RolloutSetup<'_, '_, Space>, RobosuiteTask, &Scenes) -> Result<R>,
+    ) -> Result<R> {
+        let section = self.pipeline.rollout()?;
+        let task = self.simulated()?;
+        let episodes = &artifacts.episodes.artifact;
+        let camera = self.pipeline.pose()?.encoder().camera.clone();
+        let scenes = Scenes::open(episodes, task, section.fidelity)?;
+        let mjcf = scenes.first_mjcf()?;
+        // If the seed determines the size of a box (Lift's cube), every seed needs its own compiled model.
+        let shared = (!task.samples_models()).then(|| scenes.compile(mjcf)).transpose()?;
+        let observed = match observer {
+            Some(observer) => Some((
+                scene_renderer(&scenes, episodes, &camera)?,
+                (observer.open)()?,
+                observer.wrap,
+            )),
+            None => None,
+        };
+        let env = |start: &Start<Space>| {
+            let model: RobosuiteModel = match &shared {
+                Some(model) => model.clone(),
+                None => scenes.compile(&start.scene.in_model(mjcf)?)?,
+            };
+            let scene_renderer = observed.as_ref().map(|(scene_renderer, ..)| scene_renderer);
+            let env: Box<dyn Env<Space> + '_> = Box::new(RobosuiteEnv::new(&model, scene_renderer)?);
+            Ok(match &observed {
+                Some((.., wrap)) => wrap(env),
+                None => env,
+            })
+        };
+        let source = |seed: u32| match (&observed, section.noise) {
+            (Some((_, estimator, _)), _) => Source::Image {
+                camera: camera.clone(),
+                estimator: estimator(),
+            },
+            (None, Some(noise)) if noise.is_noisy() => {
+                let mut errors = PoseNoise::new(u64::from(seed), noise.translation, noise.rotation);
+                Source::Noisy(Box::new(move |pose| errors.perturb(pose)))
+            }
+            _ => Source::Recorded,
+        };
+        let setup = RolloutSetup {
+            policy: policy.settings(),
+            symmetry: section.symmetry(task, self.pipeline.variant, policy),
+            env: &env,
+            source: &source,
+        };
+        body(&setup, task, &scenes)
     }
 }
 

@@ -2,7 +2,7 @@
 const PLOT = { left: 88, right: 12, strip: 15, height: 92, top: 22, bottom: 8, axis: 24 };
 const SEVERITY_COUNT = 3;
 
-const shownRange = () => selection.range ?? [0, DEMOS.frames[selection.demo]];
+const shownRange = () => selection.range ?? [0, Math.max(DEMOS.frames[selection.demo], selection.other === null ? 0 : DEMOS.frames[selection.other])];
 
 const plotScale = (width) => {
   const [first, end] = shownRange();
@@ -106,6 +106,7 @@ const lanesOf = (findings) => {
 
 const drawStrips = (width, scale) => {
   const strips = STRIPS();
+  if (selection.other !== null) strips.splice(1, 0, { label: shortName(selection.other), at: () => STRIPS()[0].at(selection.other) });
   const found = lanesOf([...FINDINGS_OF[selection.demo]].filter((f) => !isWhole(f)).sort((a, b) => a.first - b.first));
   const lanes = Math.max(0, ...found.map(({ lane }) => lane + 1));
   const height = strips.length * PLOT.strip + lanes * PLOT.strip + 6;
@@ -138,12 +139,15 @@ const drawStrips = (width, scale) => {
   return { root, height, values: () => strips.map(({ label, at }) => [label, at(selection.demo)]) };
 };
 
+const shortName = (demo) => (nameOf(demo).length > 13 ? `${nameOf(demo).slice(0, 12)}…` : nameOf(demo));
+
 const plots = { panels: [], width: 0 };
 
 const drawPanel = (number, width, scale) => {
   const { title, unit, factor, series } = REPORT.panels[number];
   const curves = series.map((_, i) => framesOf(panelValues(`${number} ${i}`), selection.demo));
-  const range = valueRange(curves);
+  const others = selection.other === null ? [] : series.map((_, i) => framesOf(panelValues(`${number} ${i}`), selection.other));
+  const range = valueRange([...curves, ...others]);
   const { height, top, bottom } = PLOT;
   const root = svg("svg", { class: "chart panel", "data-panel": title, width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title} over frames${range === null ? ", not recorded" : `, from ${figure(range[0] * factor)} to ${figure(Math.max(...curves.map((c) => c.reduce((a, b) => (b > a ? b : a), -Infinity))) * factor)} ${unit}`}` });
   modeBands(root, scale, top, height - top - bottom);
@@ -161,6 +165,7 @@ const drawPanel = (number, width, scale) => {
         svg("text", { class: "tick", x: PLOT.left - 6, y: y(tick / factor) + 4, "text-anchor": "end" }, figure(tick)),
       );
     }
+    others.forEach((values, i) => root.append(svg("path", { class: `curve other curve-${i}`, "clip-path": "url(#plot-clip)", d: curvePath(values, scale, y) })));
     curves.forEach((values, i) => root.append(svg("path", { class: `curve curve-${i}`, "clip-path": "url(#plot-clip)", d: curvePath(values, scale, y) })));
     words = svg("text", { class: "values", x: width - PLOT.right, y: 14, "text-anchor": "end" });
     root.append(words);
@@ -287,7 +292,41 @@ const showDemo = () => {
   ];
   byId("evidence-summary").textContent = summary.join(" · ");
   showFindings();
+  showShots();
+  showCompare();
   showSegments();
+};
+
+// The camera images at the findings of the demonstration.
+const showShots = () => {
+  const { finding, frame, png } = REPORT.shots;
+  const own = finding.map((_, shot) => shot).filter((shot) => FINDINGS[finding[shot]].demo === selection.demo);
+  byId("shots").replaceChildren(...own.map((shot) => {
+    const { code } = FINDINGS[finding[shot]];
+    const words = `${wordsOf(code)}, frame ${frame[shot]}`;
+    const button = html("button", { type: "button", class: "shot" }, html("img", { src: `data:image/png;base64,${png[shot]}`, alt: words, width: 126, height: 126 }), html("span", {}, words));
+    button.addEventListener("click", () => {
+      selectFinding(FINDINGS[finding[shot]]);
+      selectFrame(frame[shot]);
+    });
+    return button;
+  }));
+};
+
+// The demonstrations that the selected one can be compared with: those that its findings name, the nearest one, and its neighbours in
+// the list.
+const showCompare = () => {
+  const { demo } = selection;
+  const row = SCORE_ROW.get(demo);
+  const nearest = row === undefined ? null : REPORT.scores.nearest[row];
+  const place = view.order.indexOf(demo);
+  const candidates = [
+    ...twinsOf(demo).map((other) => [other, "named by a finding"]),
+    ...(nearest === null ? [] : [[nearest, `nearest, ${figure(scoreColumn("novelty").valueOf(demo) * LENGTH.factor, 3)} ${LENGTH.unit}`]]),
+    ...[view.order[place - 1], view.order[place + 1]].filter((other) => other !== undefined && place >= 0).map((other) => [other, "listed next to it"]),
+  ].filter(([other], at, all) => DEMOS.frames[other] > 0 && all.findIndex(([first]) => first === other) === at);
+  byId("compare").replaceChildren(html("option", { value: "" }, "no other"), ...candidates.map(([other, why]) => html("option", { value: other }, `${nameOf(other)} (${why})`)));
+  byId("compare").value = selection.other ?? "";
 };
 
 const brushing = { from: null };
@@ -340,6 +379,10 @@ const setUpEvidence = () => {
   byId("previous-demo").addEventListener("click", () => walkDemos(-1));
   byId("next-demo").addEventListener("click", () => walkDemos(1));
   byId("whole").addEventListener("click", () => selectRange(null));
+  byId("compare").addEventListener("change", (event) => {
+    selection.other = event.target.value === "" ? null : Number(event.target.value);
+    drawPlots();
+  });
   host.addEventListener("keydown", onPlotKey);
   setUpBrush(host);
   onWidth(host, drawPlots);

@@ -4,6 +4,8 @@ setUpFilters();
 setUpTimelines();
 setUpEvidence();
 setUpGrasps();
+setUpScores();
+setUpKeep();
 arrange();
 if (COUNT === 0) byId("evidence").hidden = true;
 else followAddress();

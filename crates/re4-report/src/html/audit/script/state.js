@@ -1,15 +1,24 @@
 // The state of the page: the selected demonstration, range of frames, frame and finding; the demonstrations that are listed, and
 // their order.
-const selection = { demo: -1, range: null, frame: null, finding: null };
+const selection = { demo: -1, range: null, frame: null, finding: null, other: null };
 const view = { sort: "worst", reversed: false, scale: "frames", text: "", severities: new Set(), codes: new Set(), order: [] };
 const listeners = { demo: [], range: [], frame: [], view: [] };
 const notify = (what) => listeners[what].forEach((act) => act());
+
+// The demonstrations that the findings of a demonstration name, such as the one that it duplicates.
+const namedBy = ({ demo, code, message }) => {
+  if (!/duplicate|same_actions|copy/.test(code)) return [];
+  const words = new Set(message.split(/[\s,;:()]+/));
+  return DEMOS.name.map((_, other) => other).filter((other) => other !== demo && (words.has(nameOf(other)) || (nameOf(other).includes(" ") && `${message},`.includes(`${nameOf(other)},`))));
+};
+const twinsOf = (demo) => [...new Set(FINDINGS_OF[demo].flatMap(namedBy))];
+const twinOf = (demo) => twinsOf(demo)[0] ?? null;
 
 // With `quiet`, the address of the page is not changed, because the selection comes from it.
 const selectDemo = (demo, { range = null, finding = null, quiet = false } = {}) => {
   if (demo < 0 || demo >= COUNT) return;
   const other = demo !== selection.demo;
-  Object.assign(selection, { demo, range, finding, frame: other ? null : selection.frame });
+  Object.assign(selection, { demo, range, finding, frame: other ? null : selection.frame, other: other ? twinOf(demo) : selection.other });
   if (other) notify("demo");
   notify("range");
   notify("frame");
@@ -62,9 +71,15 @@ const ORDERS = {
   grasp: (a, b) => (DEMOS.grasp[a] ?? Infinity) - (DEMOS.grasp[b] ?? Infinity) || 0,
 };
 
+// The worst rank first; demonstrations without a rank come last.
+const byScore = (name) => {
+  const { rankOf } = scoreColumn(name);
+  return (a, b) => (rankOf(b) ?? -1) - (rankOf(a) ?? -1);
+};
+
 const arrange = () => {
   const sign = view.reversed ? -1 : 1;
-  const compare = ORDERS[view.sort];
+  const compare = view.sort.startsWith("score ") ? byScore(view.sort.slice(6)) : ORDERS[view.sort];
   view.order = Array.from({ length: COUNT }, (_, demo) => demo).filter(isShown);
   view.order.sort((a, b) => sign * (compare(a, b) || a - b));
   notify("view");

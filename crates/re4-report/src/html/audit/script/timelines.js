@@ -61,11 +61,18 @@ const drawRow = (context, demo, y, width, scale) => {
   context.font = `${chosen ? "600 " : ""}11.5px ${rows.font}`;
   context.textAlign = "right";
   context.textBaseline = "middle";
+  const dropped = DEMOS.frames[demo] > 0 && !keep.has(demo);
+  context.globalAlpha = dropped ? 0.35 : 1;
   context.fillText(shortened(context, nameOf(demo), GUTTER.name - 12), GUTTER.name - 4, y + ROW / 2);
   for (const { transfer, first, end } of SEGMENTS_OF[demo]) {
     context.fillStyle = transfer ? COLOURS.transfer : COLOURS.transit;
     const x = place.x(first);
     context.fillRect(x, y + BAR.top, Math.max(0.6, place.x(end) - x), BAR.height);
+  }
+  context.globalAlpha = 1;
+  if (dropped) {
+    context.fillStyle = COLOURS.soft;
+    context.fillRect(8, y + ROW / 2, GUTTER.name - 12, 1);
   }
   const marks = marksOf(demo);
   for (const finding of marks) {

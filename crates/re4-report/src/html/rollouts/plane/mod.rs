@@ -232,9 +232,10 @@ impl Scene for Plane {
         &row.core
     }
 
-    fn frame(frame: &IndexRow<PlanarState>) -> (u32, Vec<f64>) {
+    fn frame(frame: &IndexRow<PlanarState>) -> (u32, u32, Vec<f64>) {
         (
             frame.episode,
+            frame.frame,
             [&point(frame.state.eef)[..], &pose(frame.state.object)].concat(),
         )
     }

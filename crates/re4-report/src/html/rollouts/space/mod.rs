@@ -246,10 +246,11 @@ impl Scene for Space {
         &row.core
     }
 
-    fn frame(frame: &IndexRow<SpatialState>) -> (u32, Vec<f64>) {
+    fn frame(frame: &IndexRow<SpatialState>) -> (u32, u32, Vec<f64>) {
         let state = &frame.state;
         (
             frame.episode,
+            frame.frame,
             [state.eef.translation.vector.as_slice(), &pose(state.object)].concat(),
         )
     }
