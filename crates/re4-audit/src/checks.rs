@@ -57,7 +57,8 @@ pub enum Basis {
     Fence {
         /// Description of the measured values.
         of: &'static str,
-        /// Number of interquartile ranges above the third quartile: 3 for Tukey's outer fence, 1.5 for his inner one.
+        /// Number of interquartile ranges above the third quartile: 3 for Tukey's outer fence, 1.5 for his inner one, and 1 for
+        /// heights of releases, which are bounded: objects are not released higher than they are carried.
         whisker: f64,
         /// Minimum threshold in robosuite's tasks.
         spatial: f64,

@@ -169,6 +169,8 @@ fn judge_one(
     let object_from_eef_start = start.object.inv_mul(&start.eef);
     let (mut object_distance, mut eef_distance) = (0.0_f64, 0.0_f64);
     let mut drifts = Vec::new();
+    // First frame of the current drift by more than a tenth of the limit.
+    let mut leaving = settled;
     // Contacts move a held object where it is put down or inserted. A grasp that is not released has no such place.
     let place = frames.get(range.end).map(|frame| frame.object.translation.vector);
     let is_wrong = |frame: usize| wrong.iter().any(|wrong| wrong.frames.contains(&frame));
@@ -186,7 +188,7 @@ fn judge_one(
             } else {
                 GraspOutcome::Missed
             };
-            grasp.slip = slip(&drifts, 0.1 * limits.lost, limits.lost).start.min(frame)..frame;
+            grasp.slip = leaving.min(frame)..frame;
             return grasp;
         }
         let distance = |from: &nalgebra::Isometry3<f64>, to: &nalgebra::Isometry3<f64>| {
@@ -194,6 +196,9 @@ fn judge_one(
         };
         object_distance = object_distance.max(distance(&start.object, &now.object));
         eef_distance = eef_distance.max(distance(&start.eef, &now.eef));
+        if drift <= 0.1 * limits.lost {
+            leaving = frame + 1;
+        }
         let carried = place.is_none_or(|place| (now.object.translation.vector - place).norm() > AT_PLACE);
         if carried {
             drifts.push((frame, drift));

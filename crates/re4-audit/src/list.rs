@@ -355,7 +355,7 @@ pub const CHECKS: &[Check] = &[
         unit: "m",
         basis: Basis::Fence {
             of: "fall heights after the last releases of demonstrations",
-            whisker: 1.5,
+            whisker: 1.0,
             spatial: 0.05,
             planar: 0.0,
             small: false,

@@ -538,8 +538,3 @@ fn faults_of_pushes_are_found() {
     });
     assert!(frozen.contains("frozen"), "{frozen:?}");
 }
-
-#[test]
-fn zz_print_markdown() {
-    std::fs::write("/tmp/aud/checks.md", re4_audit::markdown()).unwrap();
-}
