@@ -63,15 +63,15 @@ impl Space {
         let chosen: Vec<[f64; JOINT]> = (0..count)
             .map(|number| joint(all[number * all.len() / count]))
             .collect();
-        let (mut means, mut scales) = ([0.0; JOINT], [0.0; JOINT]);
-        for at in 0..JOINT {
-            let mean = chosen.iter().map(|point| point[at]).sum::<f64>() / count as f64;
-            let variance = chosen.iter().map(|point| (point[at] - mean).powi(2)).sum::<f64>() / count as f64;
-            means[at] = mean;
+        let mean = |at: usize| chosen.iter().map(|point| point[at]).sum::<f64>() / count as f64;
+        let means: [f64; JOINT] = std::array::from_fn(mean);
+        let scales: [f64; JOINT] = std::array::from_fn(|at| {
+            let squares = chosen.iter().map(|point| (point[at] - means[at]).powi(2));
+            let deviation = (squares.sum::<f64>() / count as f64).sqrt();
             // A number that never changes tells nothing; rounding must not be scaled up to 1.
-            let constant = variance.sqrt() <= 1e-9 * (1.0 + mean.abs());
-            scales[at] = if constant { 0.0 } else { variance.sqrt().recip() };
-        }
+            let constant = deviation <= 1e-9 * (1.0 + means[at].abs());
+            if constant { 0.0 } else { deviation.recip() }
+        });
         let points: Vec<[f64; JOINT]> = chosen.iter().map(|point| standardise(point, &means, &scales)).collect();
         let half = |second: usize| points.iter().map(|point| part(point, second)).collect::<Vec<_>>();
         Some(Self {
