@@ -15,7 +15,11 @@ fn the_influence_is_that_of_brute_force_for_every_policy_by_retrieval() {
             ))
             .done()
             .json();
-        assert_eq!(answer["check"]["differing"].as_array().unwrap().len(), 0, "{policy}: {answer}");
+        assert_eq!(
+            answer["check"]["differing"].as_array().unwrap().len(),
+            0,
+            "{policy}: {answer}"
+        );
         assert!(answer["check"]["episodes"].as_u64().unwrap() > 0, "{policy}");
         let artifact = place.artifact(Stage::Influence);
         let rows: Vec<InfluenceRow> = artifact.read().unwrap();
@@ -31,7 +35,9 @@ fn threads_do_not_change_the_influence() {
     let key = |jobs: u32| {
         let place = Place::new();
         place
-            .run(&format!("influence small.toml --policy paper --seeds 200000..200006 --jobs {jobs}"))
+            .run(&format!(
+                "influence small.toml --policy paper --seeds 200000..200006 --jobs {jobs}"
+            ))
             .done();
         let artifact = place.artifact(Stage::Influence);
         let rows: Vec<InfluenceRow> = artifact.read().unwrap();
@@ -44,14 +50,19 @@ fn threads_do_not_change_the_influence() {
 fn a_learned_policy_is_refused_before_it_is_trained() {
     let place = Place::new();
     let sentence = place.run("influence small.toml --policy diffusion").refused();
-    assert!(sentence.contains("does not choose between demonstrations one by one"), "{sentence}");
+    assert!(
+        sentence.contains("does not choose between demonstrations one by one"),
+        "{sentence}"
+    );
     assert!(!place.artifacts().join("policy").exists());
 }
 
 #[test]
 fn a_choice_is_judged_on_other_seeds_and_written() {
     let place = Place::new();
-    let overlap = place.run("curate small.toml --policy paper --seeds 200000..200004 --judge 200003..200006").refused();
+    let overlap = place
+        .run("curate small.toml --policy paper --seeds 200000..200004 --judge 200003..200006")
+        .refused();
     assert!(overlap.contains("seed 200003"), "{overlap}");
     place
         .run(
@@ -62,7 +73,11 @@ fn a_choice_is_judged_on_other_seeds_and_written() {
     let rows: Vec<CuratedRow> = artifact.read().unwrap();
     let judged: Vec<JudgedRow> = artifact.read().unwrap();
     assert_eq!(judged.len(), 9, "three sets with three measures");
-    let kept: Vec<&str> = rows.iter().filter(|row| row.kept).map(|row| row.demo_name.as_str()).collect();
+    let kept: Vec<&str> = rows
+        .iter()
+        .filter(|row| row.kept)
+        .map(|row| row.demo_name.as_str())
+        .collect();
     let text = std::fs::read_to_string(place.path().join("keep.txt")).unwrap();
     assert_eq!(text.lines().collect::<Vec<_>>(), kept);
     let setting = std::fs::read_to_string(place.path().join("set.toml")).unwrap();

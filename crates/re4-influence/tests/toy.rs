@@ -90,7 +90,9 @@ fn leaving_one_out_is_brute_force_at_the_cost_of_what_depends() {
     for (demo, row) in (0..).zip(&rows) {
         let without = brute(scenes, [demo]);
         for (scene, episode) in without.episodes.iter().enumerate() {
-            let change = changes.iter().find(|change| (change.demo, change.scene) == (demo, scene));
+            let change = changes
+                .iter()
+                .find(|change| (change.demo, change.scene) == (demo, scene));
             assert_eq!(change.map_or(&base.episodes[scene], |change| &change.after), episode);
         }
         assert!((row.success_change - (without.success() - base.success())).abs() < 1e-12);
@@ -135,7 +137,10 @@ fn the_bad_demonstrations_are_dropped() {
         name: name.to_owned(),
         values: (0..DEMOS).map(|demo| Some(values(demo))).collect(),
     };
-    let scores = [score("noise", &place), score("quality", &|demo| f64::from(u8::from(!is_bad(demo))))];
+    let scores = [
+        score("noise", &place),
+        score("quality", &|demo| f64::from(u8::from(!is_bad(demo)))),
+    ];
     let findings = score("findings", &|demo| f64::from(u8::from(is_bad(demo))));
     let all = brute(60, []);
     for by in [By::Influence, By::Audit, By::Scores, By::Combined] {
@@ -143,7 +148,12 @@ fn the_bad_demonstrations_are_dropped() {
         let choice = with_toy(|roll| curate(&request, roll)).0;
         let dropped = (0..DEMOS as u32).filter(|demo| !choice.kept.contains(demo));
         let kept = brute(60, dropped);
-        assert!(kept.success() > all.success(), "{by:?}: {} {}", kept.success(), all.success());
+        assert!(
+            kept.success() > all.success(),
+            "{by:?}: {} {}",
+            kept.success(),
+            all.success()
+        );
         let bad = choice.kept.iter().filter(|demo| is_bad(**demo as usize)).count();
         assert!(bad <= 1, "{by:?} keeps {:?}", choice.kept);
         assert_eq!(choice.dropped.len() + choice.kept.len(), DEMOS);

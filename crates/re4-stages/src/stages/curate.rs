@@ -252,9 +252,12 @@ fn read_results(rollouts: &Artifact) -> Result<Vec<ResultOf>> {
     })
 }
 
+/// A measure: its name, and its value in a result.
+type Measured = (&'static str, fn(&ResultOf) -> f64);
+
 /// The rows of a set: success, score and steps.
 fn judged_rows(name: &str, demos: usize, found: &[ResultOf], curated: &[ResultOf]) -> Vec<JudgedRow> {
-    let measures: [(&'static str, fn(&ResultOf) -> f64); 3] = [
+    let measures: [Measured; 3] = [
         ("success", |one| f64::from(u8::from(one.success))),
         ("score", |one| one.score),
         ("steps", |one| f64::from(one.steps)),
@@ -264,7 +267,7 @@ fn judged_rows(name: &str, demos: usize, found: &[ResultOf], curated: &[ResultOf
         .filter(|one| one.success)
         .map(|one| f64::from(one.steps))
         .collect();
-    let row = |(measure, value): (&'static str, fn(&ResultOf) -> f64)| {
+    let row = |(measure, value): Measured| {
         let values: Vec<f64> = found.iter().map(value).collect();
         let own: Vec<f64> = curated.iter().map(value).collect();
         let interval = if measure == "success" {

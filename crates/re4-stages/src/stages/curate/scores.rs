@@ -66,13 +66,12 @@ fn of_audit(audit: &Artifact, names: &[String]) -> Result<Vec<Score>> {
     } else {
         "episode"
     };
-    let numbers: Vec<Option<usize>> = match col_u32(&batch, column) {
-        Ok(numbers) => numbers.iter().map(|number| Some(*number as usize)).collect(),
-        Err(_) => {
-            let place: BTreeMap<&str, usize> = names.iter().map(String::as_str).zip(0..).collect();
-            let texts = col_text(&batch, column)?;
-            texts.into_iter().map(|name| place.get(name?).copied()).collect()
-        }
+    let numbers: Vec<Option<usize>> = if let Ok(numbers) = col_u32(&batch, column) {
+        numbers.iter().map(|number| Some(*number as usize)).collect()
+    } else {
+        let place: BTreeMap<&str, usize> = names.iter().map(String::as_str).zip(0..).collect();
+        let texts = col_text(&batch, column)?;
+        texts.into_iter().map(|name| place.get(name?).copied()).collect()
     };
     let mut scores = Vec::new();
     for field in batch.schema().fields() {
