@@ -6,7 +6,7 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 19] = [
+pub(crate) const COMMANDS: [&str; 21] = [
     "ingest",
     "segment",
     "audit",

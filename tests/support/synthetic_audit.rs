@@ -163,6 +163,8 @@ impl Builder {
                 code: code.into(),
                 episode: number,
                 frames: first_frame..end_frame,
+                other_episode: None,
+                other_demo: None,
                 value: Some(random.about(threshold * 1.7, threshold * 0.2)),
                 threshold: Some(threshold),
                 unit: unit.into(),

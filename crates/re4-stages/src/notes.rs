@@ -103,6 +103,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_generative::GenerativeError,
         re4_geometry::spatial::SymmetryError,
         re4_index::IndexError,
+        re4_ingest::robomimic::MaskError,
         re4_mujoco::MujocoError,
         re4_policy::LookupError,
         re4_policy::kinds::OpenError,

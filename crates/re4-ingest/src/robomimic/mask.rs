@@ -1,15 +1,18 @@
 //! Writes filter keys to a copy of an HDF5 file.
 
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use hdf5::types::VarLenUnicode;
+use re4_fault::Remedy;
 use thiserror::Error;
 
 /// Why a filter key cannot be written.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Remedy)]
 pub enum MaskError {
     /// The copy exists, or cannot be written.
     #[error("cannot copy {} to {}: {reason}", source_file.display(), copy.display())]
+    #[remedy("give --mask the path of a new file in a folder with enough space")]
     Copy {
         /// The source.
         source_file: PathBuf,
@@ -20,6 +23,7 @@ pub enum MaskError {
     },
     /// The HDF5 library refuses.
     #[error("cannot write the filter key /mask/{key} to {}: {reason}", copy.display())]
+    #[remedy("check that the source is an intact HDF5 file, or use --keep-list instead")]
     Write {
         /// The copy.
         copy: PathBuf,
@@ -44,23 +48,28 @@ pub fn copy_with_filter(source: &Path, copy: &Path, key: &str, names: &[String])
     if copy.exists() {
         return Err(refused("it exists already".to_owned()));
     }
-    let copied = || -> std::io::Result<()> {
+    let folder = copy.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let copied = || -> std::io::Result<tempfile::NamedTempFile> {
         let mut from = std::fs::File::open(source)?;
-        let mut to = std::fs::File::create_new(copy)?;
+        let mut to = tempfile::Builder::new()
+            .permissions(std::fs::Permissions::from_mode(0o666)) // less the bits of the umask
+            .tempfile_in(folder.unwrap_or(Path::new(".")))?;
         // Not `fs::copy`, which would also copy that a source may only be read.
         std::io::copy(&mut from, &mut to)?;
-        to.sync_all()
+        Ok(to)
     };
-    copied().map_err(|error| refused(error.to_string()))?;
-    write(copy, key, names).map_err(|error| {
-        // The error of the library is reported in any case.
-        let _ = std::fs::remove_file(copy);
-        MaskError::Write {
-            copy: copy.to_owned(),
-            key: key.to_owned(),
-            reason: error,
-        }
-    })
+    // The copy gets its name when it is complete. Until then it is removed on every way out.
+    let temporary = copied().map_err(|error| refused(error.to_string()))?;
+    write(temporary.path(), key, names).map_err(|reason| MaskError::Write {
+        copy: copy.to_owned(),
+        key: key.to_owned(),
+        reason,
+    })?;
+    temporary.as_file().sync_all().map_err(|error| refused(error.to_string()))?;
+    temporary
+        .persist_noclobber(copy)
+        .map(drop)
+        .map_err(|error| refused(error.error.to_string()))
 }
 
 fn write(copy: &Path, key: &str, names: &[String]) -> Result<(), String> {
