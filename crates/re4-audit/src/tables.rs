@@ -166,7 +166,7 @@ impl RuleAgreementRow {
             rule: rule.as_str().into(),
             configured,
             transfer_frames: modes.iter().filter(|mode| transfer(mode)).count(),
-            first_transfer: modes.iter().position(|mode| transfer(mode)),
+            first_transfer: modes.iter().position(transfer),
             agreement: pairs().filter(|(a, b)| a == b).count() as f64 / modes.len().max(1) as f64,
             overlap: (either > 0).then(|| both as f64 / either as f64),
         }

@@ -125,7 +125,7 @@ fn a_detour_is_cut_if_the_state_is_the_same_after_it() {
 #[test]
 fn a_missed_grasp_that_moves_nothing_is_a_detour() {
     let down = |frames: &mut Vec<SpatialFrame>, x: f64| {
-        frames.extend((0..15).map(|at| frame(x, f64::from(at) * 0.01, 1.0, 0.08, -1.0)))
+        frames.extend((0..15).map(|at| frame(x, f64::from(at) * 0.01, 1.0, 0.08, -1.0)));
     };
     let close = |frames: &mut Vec<SpatialFrame>, x: f64, end: f64| {
         frames.extend((0..12).map(|at| frame(x, 0.14, 1.0, (0.08 - f64::from(at) * 0.01).max(end), 1.0)));
@@ -207,9 +207,8 @@ proptest! {
         let kept = kept(&frames, &[Trim::Idle]);
         for at in 1..frames.len() {
             if frames[at].closes() != frames[at - 1].closes() {
-                for near in at.saturating_sub(10)..(at + 10).min(frames.len()) {
-                    prop_assert!(kept[near], "change at {at}, frame {near}");
-                }
+                let (first, end) = (at.saturating_sub(10), (at + 10).min(frames.len()));
+                prop_assert!(kept[first..end].iter().all(|kept| *kept), "change at {at}");
             }
         }
     }

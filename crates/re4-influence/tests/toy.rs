@@ -21,7 +21,7 @@ fn place(number: usize) -> f64 {
 
 /// Every third demonstration is bad.
 fn is_bad(demo: usize) -> bool {
-    demo % 3 == 0
+    demo.is_multiple_of(3)
 }
 
 /// An episode follows the nearest demonstration three times, from a place that depends on the one before. It fails if it follows a bad

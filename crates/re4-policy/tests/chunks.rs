@@ -56,7 +56,6 @@ fn a_shorter_limit_gives_the_chunks_within_it() {
 }
 
 #[test]
-#[expect(clippy::unwrap_used, reason = "a panic is how a test fails")]
 fn leaving_out_demonstrations_at_the_query_is_a_library_without_them() {
     let (_, chunks) = chunks();
     let all = ChunkLibrary::build(chunks.clone()).unwrap();

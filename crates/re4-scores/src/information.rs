@@ -21,7 +21,7 @@ const JOINT: usize = 2 * FEATURES;
 
 /// The contribution of each demonstration to the mutual information of states and actions, in nats (DemInf; Hejna et al. 2025, with
 /// the estimator of Kraskov, Stögbauer and Grassberger 2004, and standardised numbers in place of learned embeddings). For a chunk
-/// with distance e to its k-th neighbour in states and actions together (maximum norm), n_s states and n_a actions nearer than e:
+/// with distance e to its k-th neighbour in states and actions together (maximum norm), `n_s` states and `n_a` actions nearer than e:
 ///
 /// ```text
 /// psi(k) + psi(N) - psi(n_s + 1) - psi(n_a + 1)

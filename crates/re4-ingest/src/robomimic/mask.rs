@@ -65,7 +65,10 @@ pub fn copy_with_filter(source: &Path, copy: &Path, key: &str, names: &[String])
         key: key.to_owned(),
         reason,
     })?;
-    temporary.as_file().sync_all().map_err(|error| refused(error.to_string()))?;
+    temporary
+        .as_file()
+        .sync_all()
+        .map_err(|error| refused(error.to_string()))?;
     temporary
         .persist_noclobber(copy)
         .map(drop)

@@ -51,8 +51,11 @@ impl Written {
     }
 }
 
+/// Makes the page of an artifact.
+type MakePage = fn(&Artifact) -> Result<String>;
+
 /// Pages of a single artifact without settings.
-const PAGES: [(Stage, fn(&Artifact) -> Result<String>); 2] = [
+const PAGES: [(Stage, MakePage); 2] = [
     (Stage::Influence, re4_report::influence_page),
     (Stage::Curate, re4_report::curation_page),
 ];

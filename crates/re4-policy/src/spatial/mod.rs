@@ -14,6 +14,7 @@ mod config;
 mod decision;
 mod demos;
 mod estimate;
+mod factory;
 mod policy;
 mod reframe;
 mod retime;
@@ -26,5 +27,6 @@ pub use config::{
 pub use decision::{SpatialChoice, SpatialDecision, SpatialDecisionKind};
 pub use demos::{SpatialDemoFrame, SpatialDemoSet, SpatialKnowledge};
 pub use estimate::ObjectEstimate;
-pub use policy::{SpatialRe4, SpatialRe4Factory};
+pub use factory::SpatialRe4Factory;
+pub use policy::SpatialRe4;
 pub use reframe::{Carry, reframe_spatial, without_reframe_spatial};

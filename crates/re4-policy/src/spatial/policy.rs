@@ -7,7 +7,7 @@ use nalgebra::Isometry3;
 use re4_episode::Mode;
 use re4_geometry::spatial::{is_valid_pose, pose_distance, step_toward};
 use re4_index::{IndexError, SpatialDistances, SpatialQuery};
-use re4_rollout::{Act, ArmAction, ArmState, Phase, Policy, PolicyError, PolicyFactory, Senses, Space, Trace};
+use re4_rollout::{Act, ArmAction, Phase, Policy, PolicyError, Senses, Space, Trace};
 
 use crate::LookupError;
 use crate::spatial::bans::Bans;
@@ -149,26 +149,6 @@ impl SpatialRe4 {
     /// Returns the demonstrations that are currently banned.
     pub fn banned(&self) -> impl Iterator<Item = u32> {
         self.bans.set().iter().copied()
-    }
-}
-
-/// Starts a [`SpatialRe4`] policy for every episode.
-pub struct SpatialRe4Factory {
-    /// The settings.
-    pub config: SpatialPolicyConfig,
-    /// The data of the policy.
-    pub knowledge: Arc<SpatialKnowledge>,
-}
-
-impl PolicyFactory<Space> for SpatialRe4Factory {
-    type Policy = SpatialRe4;
-
-    fn start(&self, _: u32, first: &ArmState) -> SpatialRe4 {
-        SpatialRe4::new(self.config.clone(), Arc::clone(&self.knowledge), first.eef)
-    }
-
-    fn start_without(&self, seed: u32, first: &ArmState, without: &Arc<BTreeSet<u32>>) -> Option<SpatialRe4> {
-        Some(self.start(seed, first).without(without))
     }
 }
 

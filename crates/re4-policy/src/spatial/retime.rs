@@ -200,13 +200,13 @@ mod tests {
             },
             without_reframe_spatial(&frames[0].eef),
         );
-        for at in 90..=110 {
+        for (at, frame) in frames.iter().enumerate().take(111).skip(90) {
             let recorded = Paced {
                 frame: at,
-                goal: frames[at].goal,
+                goal: frame.goal,
                 arrived: true,
             };
-            assert_eq!(pace.next(at, &carry, &frames[at].eef), recorded);
+            assert_eq!(pace.next(at, &carry, &frame.eef), recorded);
         }
     }
 

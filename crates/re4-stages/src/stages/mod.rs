@@ -2,7 +2,6 @@
 
 mod audit;
 mod compare;
-mod curate;
 mod index;
 mod ingest;
 mod replay;
@@ -14,10 +13,9 @@ mod train_pose;
 mod training;
 
 pub use compare::{Compared, compare};
-pub use curate::{Curated, Curation};
 pub(crate) use ingest::WorkerCrashed;
 pub use ingest::{INGEST_WORKER, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
-pub use rollout::{BudgetRow, Checked, Influenced, Judge, metrics, read_rollouts};
+pub use rollout::{BudgetRow, Checked, Curated, Curation, Influenced, Judge, metrics, read_rollouts};
 pub(crate) use rollout::{ImageObserver, MakeEstimator, RolloutArtifacts, scene_renderer};
 pub(crate) use train::PolicyTrainingRow;

@@ -1,6 +1,7 @@
 //! The stage `rollout`: makes `rollouts` from a policy and the artifacts that it needs.
 
 mod budgets;
+mod curate;
 mod estimators;
 mod influence;
 mod plane;
@@ -20,6 +21,7 @@ use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
 
 pub use budgets::BudgetRow;
+pub use curate::{Curated, Curation};
 pub use influence::{Checked, Influenced, Judge};
 pub use plane::read_rollouts;
 pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};

@@ -1,4 +1,4 @@
-//! The stage `curate`: makes `curation`, a subset of the demonstrations that is chosen on some scenes and judged on others.
+//! Makes `curation`, a subset of the demonstrations that is chosen on some scenes and judged on others.
 
 mod scores;
 
@@ -19,7 +19,7 @@ use serde_json::json;
 use crate::pipeline::Seeds;
 use crate::runner::{Built, Runner};
 
-use super::rollout::Judge;
+use super::Judge;
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 1;
