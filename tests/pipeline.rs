@@ -496,6 +496,13 @@ fn inspect_shows_every_artifact() {
     // Only Push-T's tables, without those of robosuite tasks and that of unusable demonstrations.
     let others = [
         "conventions",
+        // Written by influence and curate.
+        "curated",
+        "curation_judged",
+        "curation_rounds",
+        "influence",
+        "influence_pairs",
+        "judged_episodes",
         "grasps",
         "labels",
         "left_out",

@@ -103,7 +103,7 @@ fn the_schemas_match_the_written_columns() {
         missing,
         [
             "left_out",
-            "left_out_frames",
+            "left_out_frames-space",
             "states",
             "models",
             "poses-space",
@@ -117,6 +117,13 @@ fn the_schemas_match_the_written_columns() {
             "decisions_re4-space",
             "replays-space",
             "divergence-space",
+            // Tested with the commands influence and curate.
+            "influence",
+            "judged_episodes",
+            "influence_pairs",
+            "curated",
+            "curation_rounds",
+            "curation_judged",
         ],
         "some tables were not written by any stage"
     );

@@ -200,7 +200,7 @@ table! {
     /// One row per frame of every demonstration that was left out although it can be read: it contradicts what most of the other
     /// demonstrations prove, for example with the opposite sign of the gripper command. The values follow the conventions of the
     /// other demonstrations. Only the audit reads them. Sorted by demonstration and frame.
-    #[table("left_out_frames", version = 1)]
+    #[table("left_out_frames", version = 2)]
     pub struct LeftOutFrameRow<F> {
         /// Number of the demonstration's row in table left_out, from 0.
         pub left_out: u32,

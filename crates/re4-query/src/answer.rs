@@ -66,10 +66,10 @@ impl Sources {
         }
         let (frame, schema) = planned(&mut context, &statement.text()).map_err(|error| fault_of(&error, &known))?;
         let sorted = schema
-            .iter_values()
+            .iter()
             .enumerate()
-            .filter(|(_, kind)| !kind.is_nested() && !kind.is_binary());
-        let sorted: Vec<usize> = sorted.map(|(place, _)| place + 1).collect();
+            .filter(|(_, (_, kind))| !kind.is_nested() && !kind.is_binary());
+        let sorted: Vec<(usize, &str)> = sorted.map(|(place, (name, _))| (place + 1, name.as_str())).collect();
         let frame = match statement.ordered(&sorted) {
             Some(ordered) => planned(&mut context, &ordered).map_or(frame, |(frame, _)| frame),
             None => frame,

@@ -80,9 +80,9 @@ impl Statement {
     }
 
     /// The text of the query with an order that leaves no freedom: rows that are equal in its own `ORDER BY` are ordered by the
-    /// output columns with these numbers, counted from 1. `None` if its order is already defined, because it only filters and computes
+    /// output columns with these numbers, counted from 1, and names. `None` if its order is already defined, because it only filters and computes
     /// the rows of one table.
-    pub(crate) fn ordered(&self, columns: &[usize]) -> Option<String> {
+    pub(crate) fn ordered(&self, columns: &[(usize, &str)]) -> Option<String> {
         let mut query = self.query.clone();
         let mut order = match query.order_by.take() {
             None if is_row_by_row(&query) => return None,
@@ -93,7 +93,12 @@ impl Statement {
             }) if !expressions.iter().any(is_all) => expressions,
             Some(_) => return None,
         };
-        order.extend(columns.iter().map(|number| OrderByExpr {
+        // The engine does not sort by a column twice.
+        let named: Vec<String> = order.iter().filter_map(|key| name_of(&key.expr)).collect();
+        let others = columns
+            .iter()
+            .filter(|(_, name)| !named.iter().any(|named| named == name));
+        order.extend(others.map(|(number, _)| OrderByExpr {
             expr: Expr::value(Value::Number(number.to_string(), false)),
             options: OrderByOptions::default(),
             with_fill: None,
@@ -106,6 +111,15 @@ impl Statement {
             interpolate: None,
         });
         Some(query.to_string())
+    }
+}
+
+/// The name of a column that is not computed.
+fn name_of(expression: &Expr) -> Option<String> {
+    match expression {
+        Expr::Identifier(name) => Some(name.value.clone()),
+        Expr::CompoundIdentifier(parts) => parts.last().map(|name| name.value.clone()),
+        _ => None,
     }
 }
 
@@ -226,7 +240,7 @@ mod tests {
 
     #[test]
     fn an_order_is_added_where_the_query_leaves_it_open() {
-        let ordered = |text: &str| parsed(text).ordered(&[1, 3]);
+        let ordered = |text: &str| parsed(text).ordered(&[(1, "a"), (3, "c")]);
         assert_eq!(ordered("select a, b, c from t where a > 1 limit 3"), None);
         assert_eq!(ordered("select * from t order by all"), None);
         for (text, expected) in [
@@ -234,6 +248,7 @@ mod tests {
                 "SELECT a FROM t ORDER BY b DESC",
                 "SELECT a FROM t ORDER BY b DESC, 1, 3",
             ),
+            ("SELECT a FROM t ORDER BY a DESC", "SELECT a FROM t ORDER BY a DESC, 3"),
             ("SELECT a FROM t GROUP BY a", "SELECT a FROM t GROUP BY a ORDER BY 1, 3"),
             (
                 "SELECT DISTINCT a FROM t LIMIT 2",

@@ -212,7 +212,8 @@ mod tests {
 
     #[test]
     fn the_set_point_is_one_lead_ahead_on_the_path_and_never_in_a_contact() {
-        let frames = line(200, 0.002, 100);
+        // 25 frames are just within the lead of 5 cm.
+        let frames = line(200, 0.00199, 100);
         let free = free_frames(&frames, &RetimeConfig { margin: 0.0201 });
         let replan = SpatialPolicyConfig::re4().replan;
         let pace = Pace {
@@ -225,7 +226,7 @@ mod tests {
             let next = pace.next(next, &carry, &frames[eef].eef);
             (
                 next.frame,
-                (next.goal.translation.x / 0.002).round() as usize,
+                (next.goal.translation.x / 0.00199).round() as usize,
                 next.arrived,
             )
         };
