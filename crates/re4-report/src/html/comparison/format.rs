@@ -42,7 +42,7 @@ pub(super) fn signed(value: f64) -> String {
 }
 
 /// A probability.
-pub(super) fn probability(p: f64) -> String {
+pub(crate) fn probability(p: f64) -> String {
     if p < 0.001 {
         "< 0.001".to_owned()
     } else {

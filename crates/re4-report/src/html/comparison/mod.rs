@@ -17,6 +17,8 @@ use serde_json::json;
 
 use super::shell::{self, Document};
 
+pub(crate) use format::probability;
+
 /// The content of the page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {

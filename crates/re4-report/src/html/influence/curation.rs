@@ -5,6 +5,7 @@ use re4_influence::{CuratedRow, JudgedRow, RoundRow};
 use serde_json::json;
 
 use super::{STYLE, plot};
+use crate::html::comparison::probability;
 use crate::html::shell::{self, Document, exact, short, table};
 
 /// The content of the page.
@@ -72,7 +73,7 @@ fn judged(page: &Curation) -> Markup {
                 @if row.set == *"curated" { td {} td {} td {} } @else {
                     td.figure { (format!("{:+.3}", row.difference)) }
                     td.figure { (format!("[{:+.3}, {:+.3}]", row.difference_low, row.difference_high)) }
-                    td.figure { (short(row.p)) }
+                    td.figure { (probability(row.p)) }
                 }
             }
         }
