@@ -324,7 +324,7 @@ impl Keys<'_> {
         let splits = self.present("splits").and_then(Value::as_object);
         let range = |text: &Value| {
             let (start, end) = text.as_str()?.split_once(':')?;
-            let (start, end) = (start.trim().parse().ok()?, end.trim().parse().ok()?);
+            let (start, end): (u64, u64) = (start.trim().parse().ok()?, end.trim().parse().ok()?);
             (start <= end).then_some(start..end)
         };
         let named = splits

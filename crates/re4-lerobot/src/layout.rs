@@ -128,8 +128,10 @@ pub(crate) fn place(
         .with(Content::Video)
         .all(|feature| videos.contains_key(&feature.name))
     {
-        let mut all = Files::default();
-        all.names = videos.values().flat_map(|files| files.names.iter().cloned()).collect();
+        let all = Files {
+            names: videos.values().flat_map(|files| files.names.iter().cloned()).collect(),
+            ..Files::default()
+        };
         all.strays(root, "videos", "mp4", &mut faults);
     }
     if stop() {

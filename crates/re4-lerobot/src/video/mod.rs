@@ -60,13 +60,15 @@ impl Video {
             sample_of,
             frame_of,
         };
-        match video.times().zip(video.times().skip(1)).position(|(a, b)| a >= b) {
-            Some(frame) => Err(Fault::damaged(
-                name,
-                format!("frames {frame} and {} have the same time", frame + 1),
-            )),
-            None => Ok(video),
+        let same = video
+            .times()
+            .zip(video.times().skip(1))
+            .position(|(time, next)| time >= next);
+        if let Some(frame) = same {
+            let why = format!("frames {frame} and {} have the same time", frame + 1);
+            return Err(Fault::damaged(name, why));
         }
+        Ok(video)
     }
 
     /// Name of the file in faults.

@@ -108,26 +108,36 @@ impl Planes {
         let green_v = fixed(2.0 * (1.0 - kr) * kr / kg * chroma);
         let byte = |value: i32| (value >> BITS).clamp(0, 255) as u8;
         let half = 1 << (BITS - 1);
-        rgb.reserve(3 * self.y.len());
+        let start = rgb.len();
+        rgb.resize(start + 3 * self.y.len(), 0);
+        let width = self.width.max(1);
         let (across, _) = chroma_size(self.chroma, self.width, self.height);
-        for (row, ys) in self.y.chunks_exact(self.width.max(1)).enumerate() {
+        let gray = vec![128_u8; width.div_ceil(2)];
+        let rows = self.y.chunks_exact(width).zip(rgb[start..].chunks_exact_mut(3 * width));
+        for (row, (ys, pixels)) in rows.enumerate() {
             let from = match self.chroma {
                 Chroma::Gray => 0,
                 Chroma::Half => row / 2 * across,
                 Chroma::HalfWidth => row * across,
             };
-            let (us, vs) = (self.u.get(from..), self.v.get(from..));
-            for (column, &y) in ys.iter().enumerate() {
-                let sample = |plane: Option<&[u8]>| plane.and_then(|plane| plane.get(column / 2)).copied();
-                let u = i32::from(sample(us).unwrap_or(128)) - 128;
-                let v = i32::from(sample(vs).unwrap_or(128)) - 128;
-                let y = (i32::from(y) - black) * luma + half;
-                rgb.extend([
-                    byte(y + red * v),
-                    byte(y - green_u * u - green_v * v),
-                    byte(y + blue * u),
-                ]);
+            let of = |plane| self.chroma_row(plane, from, across).unwrap_or(gray.as_slice());
+            let pairs = ys.chunks(2).zip(pixels.chunks_mut(6));
+            for ((ys, pixels), (&u, &v)) in pairs.zip(of(self.u.as_slice()).iter().zip(of(self.v.as_slice()))) {
+                let (u, v) = (i32::from(u) - 128, i32::from(v) - 128);
+                let (to_red, to_green, to_blue) = (red * v, green_u * u + green_v * v, blue * u);
+                for (&y, pixel) in ys.iter().zip(pixels.chunks_exact_mut(3)) {
+                    let y = (i32::from(y) - black) * luma + half;
+                    pixel.copy_from_slice(&[byte(y + to_red), byte(y - to_green), byte(y + to_blue)]);
+                }
             }
+        }
+    }
+
+    /// A row of a chroma plane; `None` for a gray image.
+    fn chroma_row<'a>(&self, plane: &'a [u8], from: usize, across: usize) -> Option<&'a [u8]> {
+        match self.chroma {
+            Chroma::Gray => None,
+            Chroma::Half | Chroma::HalfWidth => plane.get(from..from + across),
         }
     }
 }
