@@ -12,7 +12,7 @@ use crate::contained::contained;
 use crate::dataset::{Dataset, Episode};
 use crate::fault::{Fault, Faults, Kind, LerobotError};
 use crate::info::Content;
-use crate::table::Table;
+use crate::table::{self, Table};
 use crate::video::Stop;
 
 /// Maximum size of a block of images, in bytes. A block has at least one image.
@@ -144,6 +144,15 @@ impl<E, F: FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>> Blocks<'
     }
 }
 
+/// What stays open between the episodes of a camera with PNG images.
+#[derive(Default)]
+struct Pngs {
+    /// Width and height of the first image.
+    size: Option<(usize, usize)>,
+    /// The file, and its rows from the next one on.
+    rows: Option<(u32, table::Blocks)>,
+}
+
 /// A fault of an episode, or an error that ends the reading.
 enum Halt<E> {
     Episode(Faults),
@@ -170,7 +179,7 @@ impl Dataset {
         mut take: impl FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>,
     ) -> Result<(), E> {
         let content = self.info.feature(camera).map(|feature| feature.content);
-        let mut size = None;
+        let mut pngs = Pngs::default();
         for number in episodes {
             let Some(episode) = self.episodes.get(number) else {
                 let what = format!(
@@ -192,7 +201,7 @@ impl Dataset {
                 Some(Content::Video) if self.videos.contains_key(camera) => {
                     self.from_video(camera, episode, all, stop, &mut blocks)
                 }
-                Some(Content::Images) => self.from_table(camera, episode, all, &mut size, stop, &mut blocks),
+                Some(Content::Images) => self.from_table(camera, episode, all, &mut pngs, stop, &mut blocks),
                 _ => {
                     let what = format!("there is no camera {camera}");
                     return Err(self
@@ -240,7 +249,7 @@ impl Dataset {
             Some(Content::Video) if self.videos.contains_key(camera) => {
                 self.from_video(camera, place, one, &|| false, &mut blocks)
             }
-            Some(Content::Images) => self.from_table(camera, place, one, &mut None, &|| false, &mut blocks),
+            Some(Content::Images) => self.from_table(camera, place, one, &mut Pngs::default(), &|| false, &mut blocks),
             _ => return Err(none()),
         };
         match read {
@@ -274,15 +283,18 @@ impl Dataset {
         camera: &str,
         episode: &Episode,
         frames: std::ops::Range<usize>,
-        size: &mut Option<(usize, usize)>,
+        pngs: &mut Pngs,
         stop: Stop<'_>,
         blocks: &mut Blocks<'_, F>,
     ) -> Result<(), Halt<E>> {
         let (file, row) = episode.data;
         let name = self.data.names.get(file as usize).map_or("", String::as_str);
-        let table = Table::open(&self.root, name)?;
         let rows = row + frames.start..row + frames.end;
-        let mut read = table.blocks(&[camera], rows.start, ROWS)?;
+        // After an error, the rows are not put back: their reader may be in an inconsistent state.
+        let mut read = match pngs.rows.take() {
+            Some((open, read)) if open == file && read.next() == rows.start => read,
+            _ => Table::open(&self.root, name)?.blocks(&[camera], rows.start, ROWS)?,
+        };
         while read.next() < rows.end {
             if stop() {
                 return Err(Fault::stopped().into());
@@ -304,7 +316,7 @@ impl Dataset {
                 let (width, height, bytes) = decode(png).map_err(|(kind, what)| {
                     place.fault(kind, at, what, "write the image again as PNG with 8 bits per channel")
                 })?;
-                let (w, h) = *size.get_or_insert((width, height));
+                let (w, h) = *pngs.size.get_or_insert((width, height));
                 if (width, height) != (w, h) {
                     let what = format!("the image has {width} x {height} pixels, the first one has {w} x {h}");
                     return Err(place
@@ -316,6 +328,7 @@ impl Dataset {
                     .map_err(Halt::All)?;
             }
         }
+        pngs.rows = Some((file, read));
         blocks.flush().map_err(Halt::All)
     }
 }
