@@ -1,6 +1,7 @@
-//! Prints what a LeRobot dataset is: `lerobot_inspect PATH [--check] [--decode]`.
+//! Prints what a LeRobot dataset is: `lerobot_inspect PATH [--check] [--decode] [--planes]`.
 //!
-//! `--check` reads the numbers of all episodes, `--decode` also all images, and prints the time that this takes.
+//! `--check` reads the numbers of all episodes, `--decode` also all images, and prints the time that this takes. `--planes` prints the
+//! SHA-256 of all decoded planes (luma, blue, red, frame by frame) of each video, to compare them with those of another decoder.
 
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program of the command line")]
 
@@ -9,7 +10,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use re4_fault::Remedy as _;
-use re4_lerobot::{Cameras, Dataset, LerobotError};
+use re4_lerobot::{Cameras, Dataset, Fault, LerobotError};
+use sha2::{Digest as _, Sha256};
 
 fn inspect(path: &std::path::Path, check: bool, decode: bool) -> Result<usize, LerobotError> {
     let dataset = Dataset::open(path, &Cameras::All, &|| false)?;
@@ -56,13 +58,46 @@ fn inspect(path: &std::path::Path, check: bool, decode: bool) -> Result<usize, L
     Ok(faults)
 }
 
+/// Prints the hash of each video.
+fn planes(path: &std::path::Path) -> Result<(), LerobotError> {
+    let dataset = Dataset::open(path, &Cameras::All, &|| false)?;
+    for camera in dataset.cameras() {
+        for episode in 0..dataset.episodes().len() {
+            let Ok((video, 0)) = dataset.video(camera, episode) else {
+                // Images in tables, or an episode that does not begin a file.
+                continue;
+            };
+            let mut hash = Sha256::new();
+            let decoded = video.decode(0..video.frames(), &|| false, |_, planes| {
+                [&planes.y, &planes.u, &planes.v].map(|plane| hash.update(plane));
+                Ok::<(), Fault>(())
+            });
+            match decoded {
+                Ok(()) => {
+                    let text: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+                    println!("{text}  {}", video.name());
+                }
+                Err(fault) => eprintln!("{}", fault.sentence()),
+            }
+        }
+    }
+    Ok(())
+}
+
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let flag = |name: &str| arguments.iter().any(|argument| argument == name);
     let Some(path) = arguments.iter().find(|argument| !argument.starts_with("--")) else {
-        eprintln!("lerobot_inspect PATH [--check] [--decode]");
+        eprintln!("lerobot_inspect PATH [--check] [--decode] [--planes]");
         return ExitCode::from(2);
     };
+    if flag("--planes") {
+        if let Err(error) = planes(&PathBuf::from(path)) {
+            eprintln!("{}", error.faults);
+            return ExitCode::from(2);
+        }
+        return ExitCode::SUCCESS;
+    }
     match inspect(&PathBuf::from(path), flag("--check"), flag("--decode")) {
         Ok(0) => ExitCode::SUCCESS,
         Ok(_) => ExitCode::from(1),

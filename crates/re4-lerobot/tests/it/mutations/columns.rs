@@ -57,7 +57,7 @@ fn lists(array: &ArrayRef, kind: &str) -> ArrayRef {
 
 #[test]
 fn columns_of_the_data() {
-    check(vec![
+    check(&[
         (
             "undeclared column",
             AV1,
@@ -341,7 +341,7 @@ fn columns_of_the_data() {
 
 #[test]
 fn images_in_the_data() {
-    check(vec![
+    check(&[
         (
             "paths missing",
             IMAGE,

@@ -9,7 +9,7 @@ use super::{
 
 #[test]
 fn missing_and_stray_files() {
-    check(vec![
+    check(&[
         ("tasks missing", AV1, |c| c.remove(TASKS), Refused(TASKS, "")),
         ("video missing", AV1, |c| c.remove(VIDEO), Refused(VIDEO, "")),
         ("data missing", AV1, |c| c.remove(DATA), Refused(DATA, "")),
@@ -41,14 +41,16 @@ fn missing_and_stray_files() {
         (
             "stray data",
             AV1,
-            |c| drop(fs::copy(c.path(DATA), c.path("data/chunk-000/file-001.parquet")).unwrap()),
+            |c| {
+                fs::copy(c.path(DATA), c.path("data/chunk-000/file-001.parquet")).unwrap();
+            },
             Refused("data/chunk-000/file-001.parquet", ""),
         ),
         (
             "stray video",
             AV1,
             |c| {
-                drop(fs::copy(c.path(VIDEO), c.path("videos/observation.image/chunk-000/file-001.mp4")).unwrap());
+                fs::copy(c.path(VIDEO), c.path("videos/observation.image/chunk-000/file-001.mp4")).unwrap();
             },
             Refused("videos/observation.image/chunk-000/file-001.mp4", ""),
         ),
@@ -56,7 +58,7 @@ fn missing_and_stray_files() {
             "stray episodes",
             AV1,
             |c| {
-                drop(fs::copy(c.path(EPISODES), c.path("meta/episodes/chunk-000/file-001.parquet")).unwrap());
+                fs::copy(c.path(EPISODES), c.path("meta/episodes/chunk-000/file-001.parquet")).unwrap();
             },
             Refused("meta/episodes/chunk-000/file-001.parquet", "meta/episodes/file_index"),
         ),
@@ -65,7 +67,7 @@ fn missing_and_stray_files() {
             AV1,
             |c| {
                 c.table(EPISODES, |t| without(&t, |name| name.starts_with("meta/")));
-                drop(fs::copy(c.path(EPISODES), c.path("meta/episodes/chunk-000/file-001.parquet")).unwrap());
+                fs::copy(c.path(EPISODES), c.path("meta/episodes/chunk-000/file-001.parquet")).unwrap();
             },
             Refused("meta/episodes/chunk-000/file-001.parquet", "episode_index"),
         ),
@@ -73,7 +75,7 @@ fn missing_and_stray_files() {
             "stray episode of v2",
             OLD,
             |c| {
-                drop(fs::copy(c.path(OLD_DATA[0]), c.path("data/chunk-000/episode_000003.parquet")).unwrap());
+                fs::copy(c.path(OLD_DATA[0]), c.path("data/chunk-000/episode_000003.parquet")).unwrap();
             },
             Refused("data/chunk-000/episode_000003.parquet", ""),
         ),

@@ -9,7 +9,7 @@ use super::{AV1, Copy, DATA, IMAGE, INFO, OLD, Refused, Same, VIDEO, check, samp
 
 #[test]
 fn statements_of_the_metadata() {
-    check(vec![
+    check(&[
         (
             "total_episodes too large",
             AV1,
@@ -77,7 +77,7 @@ fn statements_of_the_metadata() {
             "only the keys without a default",
             AV1,
             |c| {
-                c.info(|map| map.retain(|key, _| ["codebase_version", "fps", "features"].contains(&key)));
+                c.info(|map| map.retain(|key, _| ["codebase_version", "fps", "features"].contains(&key.as_str())));
             },
             Same,
         ),

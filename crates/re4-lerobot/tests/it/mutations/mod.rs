@@ -105,15 +105,15 @@ pub(super) fn replace(bytes: &mut [u8], from: &[u8], to: &[u8]) {
     bytes[at..at + to.len()].copy_from_slice(to);
 }
 
-pub(super) fn check(cases: Vec<Case>) {
+pub(super) fn check(cases: &[Case]) {
     let Some(folder) = samples() else { return };
     let mut wrong = Vec::new();
     let mut originals: Vec<(&str, Contents)> = Vec::new();
     for (name, sample, change, then) in cases {
-        if !originals.iter().any(|(known, _)| *known == sample) {
-            originals.push((sample, contents(&folder.join(sample), true).unwrap()));
+        if !originals.iter().any(|(known, _)| *known == *sample) {
+            originals.push((*sample, contents(&folder.join(sample), true).unwrap()));
         }
-        let original = &originals.iter().find(|(known, _)| *known == sample).unwrap().1;
+        let original = &originals.iter().find(|(known, _)| *known == *sample).unwrap().1;
         let copy = Copy::of(&folder.join(sample));
         change(&copy);
         let found = contents(copy.root(), true);
@@ -129,7 +129,7 @@ pub(super) fn check(cases: Vec<Case>) {
             (Refused(file, object), Err(faults)) => {
                 let names = |fault: &re4_lerobot::Fault| {
                     let of = fault.object.as_deref().unwrap_or_default();
-                    fault.file == file && (object.is_empty() || of == object || of.ends_with(&format!(" {object}")))
+                    fault.file == *file && (object.is_empty() || of == *object || of.ends_with(&format!(" {object}")))
                 };
                 println!("{name}: {}", sentences(&faults));
                 let remedies = faults

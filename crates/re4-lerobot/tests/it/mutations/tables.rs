@@ -10,7 +10,7 @@ use super::{AV1, DATA, EPISODES, IMAGE, INFO, MULTI, OLD, OLD_DATA, Refused, Sam
 #[test]
 fn tables_of_episodes_and_tasks() {
     const FROM: &str = "videos/observation.image/from_timestamp";
-    check(vec![
+    check(&[
         (
             "no statistics of episodes",
             AV1,
