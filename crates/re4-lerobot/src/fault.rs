@@ -77,7 +77,8 @@ impl Fault {
             kind,
             file: file.to_owned(),
             object: None,
-            what: what.into(),
+            // The first semicolon of a sentence separates what is wrong from the remedy. Messages of libraries may have others.
+            what: what.into().replace(';', ","),
             fix: fix.into(),
         }
     }

@@ -129,7 +129,42 @@ fn planes(picture: &Dav1dPicture) -> Result<Planes, String> {
     })
 }
 
+/// Whether a coded frame has a sequence header, which every key frame at which decoding can start has (AV1 in ISO media, section 2.4).
+fn has_sequence_header(mut sample: &[u8]) -> bool {
+    while let Some((&header, rest)) = sample.split_first() {
+        if (header >> 3) & 15 == 1 {
+            return true;
+        }
+        let rest = if header & 4 != 0 {
+            rest.get(1..).unwrap_or(&[])
+        } else {
+            rest
+        };
+        if header & 2 == 0 {
+            return false;
+        }
+        // The size, 7 bits per byte, the lowest first.
+        let end = rest.iter().take(8).position(|byte| byte & 0x80 == 0);
+        let Some(end) = end else {
+            return false;
+        };
+        let size = rest[..=end]
+            .iter()
+            .rev()
+            .fold(0_usize, |size, byte| (size << 7) | usize::from(byte & 0x7f));
+        let Some(next) = rest.get(end + 1..).and_then(|rest| rest.get(size..)) else {
+            return false;
+        };
+        sample = next;
+    }
+    false
+}
+
 impl Decode for Av1 {
+    fn can_start(&self, sample: &[u8]) -> bool {
+        has_sequence_header(sample)
+    }
+
     fn feed(&mut self, tag: u32, sample: &[u8], out: &mut Vec<Decoded>) -> Result<(), String> {
         let mut data = Dav1dData::default();
         // SAFETY: the pointer is valid; the function allocates as many bytes as it is asked for, or returns null.
@@ -182,5 +217,24 @@ impl Drop for Av1 {
     fn drop(&mut self) {
         // SAFETY: the context is open or none, and is not used afterwards.
         unsafe { dav1d_close(Some(NonNull::from(&mut self.context))) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::has_sequence_header;
+
+    #[test]
+    fn sequence_headers_are_found() {
+        // A temporal delimiter (type 2) and a frame (type 6) of 130 bytes, with and without a sequence header (type 1) between them.
+        let frame = [[0x32, 0x82, 0x01].as_slice(), &[0; 130]].concat();
+        let with = [[0x12, 0, 0x0a, 2, 7, 7].as_slice(), &frame].concat();
+        let after = [[0x12, 0].as_slice(), &frame, &[0x0a, 1, 7]].concat();
+        let without = [[0x12, 0].as_slice(), &frame].concat();
+        assert!(has_sequence_header(&with) && has_sequence_header(&after));
+        assert!(!has_sequence_header(&without) && !has_sequence_header(&[]) && !has_sequence_header(&[0x32, 0x82]));
+        assert!(!has_sequence_header(&[
+            0x32, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff
+        ]));
     }
 }

@@ -15,6 +15,10 @@ pub(super) struct Decoded {
 
 /// A decoder. Errors are reasons in words; after an error the decoder must be dropped.
 pub(super) trait Decode {
+    /// Whether decoding can start at a coded frame. Tables of key frames are not always right: for H.264 they may list frames after
+    /// which others still refer to earlier ones.
+    fn can_start(&self, sample: &[u8]) -> bool;
+
     /// Takes the next coded frame and appends the frames that are ready, in the order in which they are shown.
     fn feed(&mut self, tag: u32, sample: &[u8], out: &mut Vec<Decoded>) -> Result<(), String>;
 

@@ -80,7 +80,7 @@ fn is_whole(mut sample: &[u8], length_size: usize) -> bool {
     while let Some((length, rest)) = sample.split_at_checked(length_size) {
         let length = length
             .iter()
-            .fold(0_usize, |value, &byte| value << 8 | usize::from(byte));
+            .fold(0_usize, |value, &byte| (value << 8) | usize::from(byte));
         let Some(rest) = rest.get(length..) else {
             return false;
         };
@@ -90,6 +90,11 @@ fn is_whole(mut sample: &[u8], length_size: usize) -> bool {
 }
 
 impl Decode for H264 {
+    fn can_start(&self, sample: &[u8]) -> bool {
+        let units = parse_avcc(sample, self.length_size);
+        units.iter().any(|nal| nal.nal_unit_type == NalUnitType::SliceIdr)
+    }
+
     fn feed(&mut self, tag: u32, sample: &[u8], out: &mut Vec<Decoded>) -> Result<(), String> {
         if !is_whole(sample, self.length_size) {
             return Err("the units of a frame do not fill it".to_owned());

@@ -12,7 +12,7 @@ use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 
 use self::decoder::Decoded;
-use self::mp4::{Track, Unusable};
+use self::mp4::{Sample, Track, Unusable};
 use crate::contained::contained;
 use crate::fault::{Fault, Kind};
 
@@ -118,32 +118,37 @@ impl Video {
         stop: Stop<'_>,
         mut take: impl FnMut(usize, Planes) -> Result<(), E>,
     ) -> Result<(), E> {
-        let frames = frames.start..frames.end.min(self.frames());
-        let Some(wanted) = self.sample_of.get(frames.clone()).filter(|wanted| !wanted.is_empty()) else {
-            return Ok(());
+        let Some(wanted) = self.sample_of.get(frames.clone()) else {
+            let what = format!("it has {} frames, but frames {frames:?} are requested", self.frames());
+            return Err(Fault::of_file(Kind::Count, &self.name, what, "request frames that exist").into());
         };
+        if wanted.is_empty() {
+            return Ok(());
+        }
         let (first, last) = wanted.iter().fold((u32::MAX, 0), |(low, high), &sample| {
             (low.min(sample), high.max(sample))
         });
         let samples = &self.track.samples;
-        let key = (0..=first as usize)
-            .rev()
-            .find(|&sample| samples[sample].key)
-            .unwrap_or(0);
         let damaged = |why: String| Fault::damaged(&self.name, why);
         let mut decoder = contained(|| decoder::open(&self.track))
             .map_err(|what| Fault::of_file(Kind::Unsupported, &self.name, what, ENCODE_AGAIN))?;
         let (mut bytes, mut ready) = (Vec::new(), Vec::new());
+        let mut key = first as usize;
+        while key > 0 {
+            if samples[key].key {
+                self.read(samples[key], &mut bytes)?;
+                if contained(|| Ok(decoder.can_start(&bytes))) == Ok(true) {
+                    break;
+                }
+            }
+            key -= 1;
+        }
         let mut next = frames.start;
         for number in key..=last as usize {
             if stop() {
                 return Err(Fault::stopped().into());
             }
-            let sample = samples[number];
-            bytes.resize(sample.size as usize, 0);
-            self.file
-                .read_exact_at(&mut bytes, sample.offset)
-                .map_err(|error| Fault::io(&self.name, "read", &error))?;
+            self.read(samples[number], &mut bytes)?;
             contained(|| decoder.feed(number as u32, &bytes, &mut ready))
                 .map_err(|why| damaged(format!("frame {}: {why}", self.frame_of[number])))?;
             self.pass(&mut ready, &frames, &mut next, &mut take)?;
@@ -154,6 +159,14 @@ impl Video {
             return Err(damaged(format!("frame {next} cannot be decoded")).into());
         }
         Ok(())
+    }
+
+    /// Reads a coded frame.
+    fn read(&self, sample: Sample, bytes: &mut Vec<u8>) -> Result<(), Fault> {
+        bytes.resize(sample.size as usize, 0);
+        self.file
+            .read_exact_at(bytes, sample.offset)
+            .map_err(|error| Fault::io(&self.name, "read", &error))
     }
 
     /// Passes on the frames that are wanted. Every one must come in its place.
@@ -195,9 +208,6 @@ impl Video {
             found = Some(planes);
             Ok::<(), Fault>(())
         })?;
-        found.ok_or_else(|| {
-            let what = format!("it has {} frames, but frame {frame} is requested", self.frames());
-            Fault::of_file(Kind::Count, &self.name, what, "request a smaller number")
-        })
+        found.ok_or_else(|| Fault::damaged(&self.name, format!("frame {frame} cannot be decoded")))
     }
 }
