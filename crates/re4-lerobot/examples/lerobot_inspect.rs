@@ -69,7 +69,9 @@ fn planes(path: &std::path::Path) -> Result<(), LerobotError> {
             };
             let mut hash = Sha256::new();
             let decoded = video.decode(0..video.frames(), &|| false, |_, planes| {
-                [&planes.y, &planes.u, &planes.v].map(|plane| hash.update(plane));
+                [&planes.y, &planes.u, &planes.v]
+                    .iter()
+                    .for_each(|plane| hash.update(plane));
                 Ok::<(), Fault>(())
             });
             match decoded {

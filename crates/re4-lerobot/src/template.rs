@@ -3,7 +3,6 @@
 /// A pattern.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Template {
-    text: String,
     parts: Vec<Part>,
 }
 
@@ -51,15 +50,7 @@ impl Template {
         if text.starts_with('/') || text.contains('\\') || text.split('/').any(|part| part == ".." || part.is_empty()) {
             return Err("it does not stay inside the dataset".to_owned());
         }
-        Ok(Self {
-            text: text.to_owned(),
-            parts,
-        })
-    }
-
-    /// The pattern as text.
-    pub(crate) fn text(&self) -> &str {
-        &self.text
+        Ok(Self { parts })
     }
 
     /// The name of a file. A number that is not given is 0.
