@@ -29,6 +29,9 @@ const PIXELS: u32 = 8192 * 8192;
 /// `EAGAIN` of Linux, negative: the decoder needs other calls first.
 const AGAIN: i32 = -11;
 
+/// How often the decoder may ask for time to decode what it has. A sample has few frames, and each call decodes at least one.
+const WAITS: u32 = 64;
+
 /// An open decoder.
 pub(super) struct Av1 {
     context: Option<Dav1dContext>,
@@ -175,13 +178,16 @@ impl Decode for Av1 {
         // SAFETY: the allocation has the length of the sample, and nobody else has the pointer yet.
         unsafe { bytes.copy_from_nonoverlapping(sample.as_ptr(), sample.len()) };
         data.m.timestamp = i64::from(tag);
+        let mut waits = WAITS;
         let outcome = loop {
             // SAFETY: the context is open; the data came from the decoder's own allocation.
             let result = unsafe { dav1d_send_data(self.context, Some(NonNull::from(&mut data))) };
             match result.0 {
                 0 => break Ok(()),
+                // It still has frames of the sample before, which it decodes in this call. They need not be shown.
                 AGAIN => match self.next() {
                     Ok(Some(frame)) => out.push(frame),
+                    Ok(None) if waits > 0 => waits -= 1,
                     Ok(None) => break Err("the AV1 decoder does not accept its data".to_owned()),
                     Err(why) => break Err(why),
                 },

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use re_mp4::Mp4;
-use re4_lerobot::{Cameras, Codec, Dataset, LerobotError, Planes, Version};
+use re4_lerobot::{Cameras, Codec, Dataset, LerobotError, Planes, Version, Video};
 use sha2::{Digest as _, Sha256};
 
 use super::support::{contents, hex, samples};
@@ -145,6 +145,41 @@ fn single_frames_equal_those_of_the_whole_video() {
             }
             assert!(video.frame(video.frames()).is_err());
         }
+    }
+}
+
+/// Videos in which frames are decoded in another order than they are shown; `tests/data/make_videos.py` writes them.
+#[test]
+fn frames_are_passed_on_in_the_order_in_which_they_are_shown() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+    let text = fs::read_to_string(folder.join("DECODED_SHA256")).unwrap();
+    for line in text.lines() {
+        let (expected, name) = line.split_once("  ").unwrap();
+        let video = Video::open(&folder.join(name), name).unwrap();
+        let mut hash = Sha256::new();
+        let mut all = Vec::new();
+        let decoded = video.decode(0..video.frames(), &|| false, |frame, planes| {
+            assert_eq!(frame, all.len());
+            add(&mut hash, &planes);
+            all.push(planes);
+            Ok::<(), re4_lerobot::Fault>(())
+        });
+        decoded.unwrap();
+        assert_eq!((all.len(), hex(hash.finalize()).as_str()), (90, expected), "{name}");
+        // Both have more than one key frame, so that decoding one frame starts at different places.
+        assert!(video.key_frames() > 1, "{name}");
+        for frame in [89, 0, 1, 38, 39, 40, 41, 59, 60, 61, 62, 75] {
+            assert!(video.frame(frame).unwrap() == all[frame], "{name}, frame {frame}");
+        }
+        let expected: Vec<f64> = (0..90).map(|frame| f64::from(frame) / 30.0).collect();
+        let times: Vec<f64> = video.times().collect();
+        assert!(
+            times
+                .iter()
+                .zip(&expected)
+                .all(|(time, expected)| (time - expected).abs() < 1e-4),
+            "{name}: {times:?}"
+        );
     }
 }
 
