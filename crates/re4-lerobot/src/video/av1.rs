@@ -68,40 +68,40 @@ impl Av1 {
 
     /// The next frame if one is ready.
     fn next(&mut self) -> Result<Option<Decoded>, String> {
-        let mut picture = Dav1dPicture::default();
+        let mut frame = Dav1dPicture::default();
         // SAFETY: the context is open, the pointer is valid for the call.
-        let result = unsafe { dav1d_get_picture(self.context, Some(NonNull::from(&mut picture))) };
+        let result = unsafe { dav1d_get_picture(self.context, Some(NonNull::from(&mut frame))) };
         match result.0 {
             0 => {}
             AGAIN => return Ok(None),
             code => return Err(format!("the AV1 decoder refuses its data (error {code})")),
         }
-        let tag = u32::try_from(picture.m.timestamp).unwrap_or(u32::MAX);
-        let planes = planes(&picture);
-        // SAFETY: the picture came from the decoder and is not used afterwards; its planes have been copied.
-        unsafe { dav1d_picture_unref(Some(NonNull::from(&mut picture))) };
+        let tag = u32::try_from(frame.m.timestamp).unwrap_or(u32::MAX);
+        let planes = planes(&frame);
+        // SAFETY: the frame came from the decoder and is not used afterwards; its planes have been copied.
+        unsafe { dav1d_picture_unref(Some(NonNull::from(&mut frame))) };
         Ok(Some(Decoded { tag, planes: planes? }))
     }
 }
 
-/// Copies the planes of a picture.
-fn planes(picture: &Dav1dPicture) -> Result<Planes, String> {
+/// Copies the planes of a frame.
+fn planes(frame: &Dav1dPicture) -> Result<Planes, String> {
     let size = |side: i32| usize::try_from(side).unwrap_or(0);
-    let (width, height) = (size(picture.p.w), size(picture.p.h));
-    if picture.p.bpc != 8 {
-        return Err(format!("it has {} bits per sample", picture.p.bpc));
+    let (width, height) = (size(frame.p.w), size(frame.p.h));
+    if frame.p.bpc != 8 {
+        return Err(format!("it has {} bits per sample", frame.p.bpc));
     }
-    let chroma = match picture.p.layout {
+    let chroma = match frame.p.layout {
         DAV1D_PIXEL_LAYOUT_I400 => Chroma::Gray,
         DAV1D_PIXEL_LAYOUT_I420 => Chroma::Half,
         DAV1D_PIXEL_LAYOUT_I422 => Chroma::HalfWidth,
         DAV1D_PIXEL_LAYOUT_I444 => return Err("it has as many chroma as luma samples (4:4:4)".to_owned()),
         other => return Err(format!("its pixel layout is number {other}")),
     };
-    let Some(header) = picture.seq_hdr else {
+    let Some(header) = frame.seq_hdr else {
         return Err("the AV1 decoder returned a frame without its header".to_owned());
     };
-    // SAFETY: a picture that has not been released keeps its sequence header alive.
+    // SAFETY: a frame that has not been released keeps its sequence header alive.
     let (matrix, range) = unsafe { (header.as_ref().mtrx, header.as_ref().color_range) };
     let color = Color::of(matrix, range != 0)?;
     let copy = |plane: usize, width: usize, height: usize| -> Result<Vec<u8>, String> {
@@ -109,11 +109,11 @@ fn planes(picture: &Dav1dPicture) -> Result<Planes, String> {
         if width * height == 0 {
             return Ok(bytes);
         }
-        let (Some(data), stride) = (picture.data[plane], picture.stride[plane.min(1)]) else {
+        let (Some(data), stride) = (frame.data[plane], frame.stride[plane.min(1)]) else {
             return Err("the AV1 decoder returned a frame without planes".to_owned());
         };
         for row in 0..height as isize {
-            // SAFETY: the decoder allocated `height` rows of at least `width` bytes, `stride` bytes apart, for a picture of 8 bits.
+            // SAFETY: the decoder allocated `height` rows of at least `width` bytes, `stride` bytes apart, for a frame of 8 bits.
             bytes.extend_from_slice(unsafe {
                 slice::from_raw_parts(data.as_ptr().cast::<u8>().offset(row * stride), width)
             });
