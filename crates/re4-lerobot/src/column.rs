@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{
-    Float16Type, Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type, UInt16Type,
-    UInt32Type, UInt64Type,
+    ArrowPrimitiveType, Float16Type, Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, UInt8Type,
+    UInt16Type, UInt32Type, UInt64Type,
 };
 use arrow_array::{Array, ArrayRef};
 use arrow_schema::DataType;
@@ -222,32 +222,37 @@ pub(crate) fn leaves<'a>(
     Ok((array, starts))
 }
 
+/// Appends numbers of one type.
+fn extend<T: ArrowPrimitiveType, V>(
+    into: &mut Vec<V>,
+    array: &ArrayRef,
+    range: Range<usize>,
+    convert: impl Fn(T::Native) -> V,
+) {
+    into.extend(
+        array.as_primitive::<T>().values()[range]
+            .iter()
+            .map(|&value| convert(value)),
+    );
+}
+
 /// Appends the values of all rows of an array.
 pub(crate) fn append(values: &mut Values, array: &ArrayRef, shape: &[usize], place: &Place<'_>) -> Result<(), Fault> {
-    macro_rules! numbers {
-        ($into:expr, $array:expr, $range:expr, $of:ty, $convert:expr) => {
-            $into.extend($array.as_primitive::<$of>().values()[$range].iter().map($convert))
-        };
-    }
     let (array, starts) = leaves(array, shape, place)?;
     let range: Range<usize> = starts.first().copied().unwrap_or(0)..starts.last().copied().unwrap_or(0);
     match (&mut *values, array.data_type()) {
-        (Values::Float(into), DataType::Float64) => numbers!(into, array, range, Float64Type, |&value| value),
-        (Values::Float(into), DataType::Float32) => {
-            numbers!(into, array, range, Float32Type, |&value| f64::from(value))
+        (Values::Float(into), DataType::Float64) => extend::<Float64Type, _>(into, array, range, |value| value),
+        (Values::Float(into), DataType::Float32) => extend::<Float32Type, _>(into, array, range, f64::from),
+        (Values::Float(into), DataType::Float16) => {
+            extend::<Float16Type, _>(into, array, range, f64::from);
         }
-        (Values::Float(into), DataType::Float16) => numbers!(into, array, range, Float16Type, |value| value.to_f64()),
-        (Values::Integer(into), DataType::Int8) => numbers!(into, array, range, Int8Type, |&value| i64::from(value)),
-        (Values::Integer(into), DataType::Int16) => numbers!(into, array, range, Int16Type, |&value| i64::from(value)),
-        (Values::Integer(into), DataType::Int32) => numbers!(into, array, range, Int32Type, |&value| i64::from(value)),
-        (Values::Integer(into), DataType::Int64) => numbers!(into, array, range, Int64Type, |&value| value),
-        (Values::Integer(into), DataType::UInt8) => numbers!(into, array, range, UInt8Type, |&value| i64::from(value)),
-        (Values::Integer(into), DataType::UInt16) => {
-            numbers!(into, array, range, UInt16Type, |&value| i64::from(value))
-        }
-        (Values::Integer(into), DataType::UInt32) => {
-            numbers!(into, array, range, UInt32Type, |&value| i64::from(value))
-        }
+        (Values::Integer(into), DataType::Int8) => extend::<Int8Type, _>(into, array, range, i64::from),
+        (Values::Integer(into), DataType::Int16) => extend::<Int16Type, _>(into, array, range, i64::from),
+        (Values::Integer(into), DataType::Int32) => extend::<Int32Type, _>(into, array, range, i64::from),
+        (Values::Integer(into), DataType::Int64) => extend::<Int64Type, _>(into, array, range, |value| value),
+        (Values::Integer(into), DataType::UInt8) => extend::<UInt8Type, _>(into, array, range, i64::from),
+        (Values::Integer(into), DataType::UInt16) => extend::<UInt16Type, _>(into, array, range, i64::from),
+        (Values::Integer(into), DataType::UInt32) => extend::<UInt32Type, _>(into, array, range, i64::from),
         (Values::Integer(into), DataType::UInt64) => {
             for (item, &value) in array.as_primitive::<UInt64Type>().values()[range].iter().enumerate() {
                 let row = item / width(shape).max(1);
@@ -259,10 +264,10 @@ pub(crate) fn append(values: &mut Values, array: &ArrayRef, shape: &[usize], pla
         }
         (Values::Bool(into), DataType::Boolean) => into.extend(range.map(|item| array.as_boolean().value(item))),
         (Values::Text(into), DataType::Utf8) => {
-            into.extend(range.map(|item| array.as_string::<i32>().value(item).to_owned()))
+            into.extend(range.map(|item| array.as_string::<i32>().value(item).to_owned()));
         }
         (Values::Text(into), DataType::LargeUtf8) => {
-            into.extend(range.map(|item| array.as_string::<i64>().value(item).to_owned()))
+            into.extend(range.map(|item| array.as_string::<i64>().value(item).to_owned()));
         }
         (_, other) => {
             let what = format!("its type is {}", in_words(other));
@@ -311,15 +316,12 @@ pub(crate) fn text_lists(array: &ArrayRef, place: &Place<'_>) -> Result<Vec<Vec<
         return Ok(texts(array, place)?.into_iter().map(|text| vec![text]).collect());
     };
     let list = array.as_list::<i32>();
-    let row = |row: usize| match list.is_null(row) {
-        true => Ok(Vec::new()),
-        false => texts(
-            &list.value(row),
-            &Place {
-                first: place.first + row,
-                ..*place
-            },
-        ),
+    let row = |row: usize| {
+        if list.is_null(row) {
+            return Ok(Vec::new());
+        }
+        let first = place.first + row;
+        texts(&list.value(row), &Place { first, ..*place })
     };
     (0..list.len()).map(row).collect()
 }

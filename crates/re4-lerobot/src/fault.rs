@@ -236,7 +236,7 @@ impl std::error::Error for LerobotError {}
 
 impl Remedy for LerobotError {
     fn remedy(&self) -> Option<Cow<'_, str>> {
-        self.faults.iter().next().and_then(|fault| fault.remedy())
+        self.faults.iter().next().and_then(Remedy::remedy)
     }
 }
 

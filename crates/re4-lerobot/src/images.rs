@@ -199,9 +199,9 @@ impl Dataset {
             };
             let read = match content {
                 Some(Content::Video) if self.videos.contains_key(camera) => {
-                    self.from_video(camera, episode, all, stop, &mut blocks)
+                    self.video_images(camera, episode, all, stop, &mut blocks)
                 }
-                Some(Content::Images) => self.from_table(camera, episode, all, &mut pngs, stop, &mut blocks),
+                Some(Content::Images) => self.table_images(camera, episode, all, &mut pngs, stop, &mut blocks),
                 _ => {
                     let what = format!("there is no camera {camera}");
                     return Err(self
@@ -247,9 +247,11 @@ impl Dataset {
         let one = frame..frame + 1;
         let read = match self.info.feature(camera).map(|feature| feature.content) {
             Some(Content::Video) if self.videos.contains_key(camera) => {
-                self.from_video(camera, place, one, &|| false, &mut blocks)
+                self.video_images(camera, place, one, &|| false, &mut blocks)
             }
-            Some(Content::Images) => self.from_table(camera, place, one, &mut Pngs::default(), &|| false, &mut blocks),
+            Some(Content::Images) => {
+                self.table_images(camera, place, one, &mut Pngs::default(), &|| false, &mut blocks)
+            }
             _ => return Err(none()),
         };
         match read {
@@ -259,7 +261,7 @@ impl Dataset {
         }
     }
 
-    fn from_video<E: From<LerobotError>, F: FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>>(
+    fn video_images<E: From<LerobotError>, F: FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>>(
         &self,
         camera: &str,
         episode: &Episode,
@@ -278,7 +280,7 @@ impl Dataset {
         blocks.flush().map_err(Halt::All)
     }
 
-    fn from_table<E, F: FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>>(
+    fn table_images<E, F: FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>>(
         &self,
         camera: &str,
         episode: &Episode,

@@ -264,13 +264,13 @@ fn schema(table: &Table, name: &str, info: &Info, faults: &mut Faults) {
             ));
         }
     }
-    let mut type_of = |column: &str| match table.schema().field_with_name(column) {
-        Ok(field) => Some(field.data_type().clone()),
-        Err(_) => {
+    let mut type_of = |column: &str| {
+        let found = table.schema().field_with_name(column).ok();
+        if found.is_none() {
             let fix = "restore the column, or remove it from the features of meta/info.json";
             faults.push(Fault::column(Kind::Missing, name, column, "it is missing", fix));
-            None
         }
+        found.map(|field| field.data_type().clone())
     };
     let mut wrong = Vec::new();
     let mut expect = |column: &str, data_type: &DataType, fits: bool, expected: &str| {
@@ -304,7 +304,9 @@ fn schema(table: &Table, name: &str, info: &Info, faults: &mut Faults) {
             _ => expect(column, &data_type, number(&data_type), "numbers are"),
         }
     }
-    wrong.into_iter().for_each(|fault| faults.push(fault));
+    for fault in wrong {
+        faults.push(fault);
+    }
 }
 
 /// Places the frames of all episodes in the videos of a camera and checks the files.

@@ -1,5 +1,7 @@
 //! Patterns of file names in `info.json`: `data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet`.
 
+use std::fmt::Write as _;
+
 /// A pattern.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Template {
@@ -65,7 +67,7 @@ impl Template {
                         .iter()
                         .find(|(number, _)| number == field)
                         .map_or(0, |(_, value)| *value);
-                    name.push_str(&format!("{value:0width$}"));
+                    let _ = write!(name, "{value:0width$}");
                 }
             }
         }

@@ -144,11 +144,11 @@ impl Video {
             key -= 1;
         }
         let mut next = frames.start;
-        for number in key..=last as usize {
+        for (number, &sample) in samples.iter().enumerate().take(last as usize + 1).skip(key) {
             if stop() {
                 return Err(Fault::stopped().into());
             }
-            self.read(samples[number], &mut bytes)?;
+            self.read(sample, &mut bytes)?;
             contained(|| decoder.feed(number as u32, &bytes, &mut ready))
                 .map_err(|why| damaged(format!("frame {}: {why}", self.frame_of[number])))?;
             self.pass(&mut ready, &frames, &mut next, &mut take)?;

@@ -133,9 +133,9 @@ impl<'a> Bytes<'a> {
     }
 
     /// The first child box of a name.
-    fn find(mut self, name: &[u8; 4]) -> Result<Option<Bytes<'a>>> {
+    fn find(mut self, name: [u8; 4]) -> Result<Option<Bytes<'a>>> {
         while let Some((found, contents)) = self.next_box()? {
-            if found == *name {
+            if found == name {
                 return Ok(Some(contents));
             }
         }
@@ -143,10 +143,10 @@ impl<'a> Bytes<'a> {
     }
 
     /// The first child box of a name, which must exist.
-    fn require(self, name: &[u8; 4]) -> Result<Bytes<'a>> {
+    fn require(self, name: [u8; 4]) -> Result<Bytes<'a>> {
         match self.find(name)? {
             Some(contents) => Ok(contents),
-            None => damaged(format!("box {} is missing", letters(*name))),
+            None => damaged(format!("box {} is missing", letters(name))),
         }
     }
 
@@ -218,7 +218,7 @@ pub(super) fn read(file: &File) -> Result<Track> {
 
 /// The only video track of a file.
 fn track(moov: Bytes<'_>, length: u64) -> Result<Track> {
-    let mut mvhd = moov.require(b"mvhd")?;
+    let mut mvhd = moov.require(*b"mvhd")?;
     let long = mvhd.version()? == 1;
     mvhd.take(if long { 16 } else { 8 })?;
     let movie_timescale = mvhd.u32()?;
@@ -228,8 +228,8 @@ fn track(moov: Bytes<'_>, length: u64) -> Result<Track> {
         if name != *b"trak" {
             continue;
         }
-        let mdia = trak.require(b"mdia")?;
-        let mut hdlr = mdia.require(b"hdlr")?;
+        let mdia = trak.require(*b"mdia")?;
+        let mut hdlr = mdia.require(*b"hdlr")?;
         hdlr.take(8)?;
         if hdlr.array::<4>()? != *b"vide" {
             continue;
@@ -241,18 +241,18 @@ fn track(moov: Bytes<'_>, length: u64) -> Result<Track> {
     let Some((trak, mdia)) = found else {
         return damaged("it has no video track");
     };
-    let mut mdhd = mdia.require(b"mdhd")?;
+    let mut mdhd = mdia.require(*b"mdhd")?;
     let long = mdhd.version()? == 1;
     mdhd.take(if long { 16 } else { 8 })?;
     let timescale = mdhd.u32()?;
     if timescale == 0 || movie_timescale == 0 {
         return damaged("its timescale is 0");
     }
-    let stbl = mdia.require(b"minf")?.require(b"stbl")?;
-    let (codec, config, width, height) = entry(stbl.require(b"stsd")?)?;
+    let stbl = mdia.require(*b"minf")?.require(*b"stbl")?;
+    let (codec, config, width, height) = entry(stbl.require(*b"stsd")?)?;
     let mut samples = samples(stbl, length)?;
-    let edits = match trak.find(b"edts")? {
-        Some(edts) => edts.find(b"elst")?,
+    let edits = match trak.find(*b"edts")? {
+        Some(edts) => edts.find(*b"elst")?,
         None => None,
     };
     shift(&mut samples, edits, timescale, movie_timescale)?;
@@ -276,8 +276,8 @@ fn entry(mut stsd: Bytes<'_>) -> Result<(Codec, &[u8], u16, u16)> {
         return damaged("box stsd is empty");
     };
     let (codec, config) = match &name {
-        b"av01" => (Codec::Av1, b"av1C"),
-        b"avc1" | b"avc3" => (Codec::H264, b"avcC"),
+        b"av01" => (Codec::Av1, *b"av1C"),
+        b"avc1" | b"avc3" => (Codec::H264, *b"avcC"),
         _ => {
             let known = match &name {
                 b"hvc1" | b"hev1" => " (HEVC)",
@@ -298,11 +298,11 @@ fn entry(mut stsd: Bytes<'_>) -> Result<(Codec, &[u8], u16, u16)> {
 
 /// All samples, with the times of the media.
 fn samples(stbl: Bytes<'_>, length: u64) -> Result<Vec<Sample>> {
-    let sizes = sizes(stbl.require(b"stsz")?, length)?;
+    let sizes = sizes(stbl.require(*b"stsz")?, length)?;
     let offsets = offsets(stbl, &sizes, length)?;
     let times = times(stbl, sizes.len())?;
-    let mut keys = vec![stbl.find(b"stss")?.is_none(); sizes.len()];
-    if let Some(mut stss) = stbl.find(b"stss")? {
+    let mut keys = vec![stbl.find(*b"stss")?.is_none(); sizes.len()];
+    if let Some(mut stss) = stbl.find(*b"stss")? {
         stss.version()?;
         let mut before = 0;
         for _ in 0..stss.entries(4)? {
@@ -355,14 +355,14 @@ fn sizes(mut stsz: Bytes<'_>, length: u64) -> Result<Vec<u32>> {
 
 /// Place of each sample in the file.
 fn offsets(stbl: Bytes<'_>, sizes: &[u32], length: u64) -> Result<Vec<u64>> {
-    let (mut chunks, wide) = match (stbl.find(b"stco")?, stbl.find(b"co64")?) {
+    let (mut chunks, wide) = match (stbl.find(*b"stco")?, stbl.find(*b"co64")?) {
         (Some(stco), None) => (stco, false),
         (None, Some(co64)) => (co64, true),
         _ => return damaged("it needs one table of chunks (stco or co64)"),
     };
     chunks.version()?;
     let count = chunks.entries(if wide { 8 } else { 4 })?;
-    let mut stsc = stbl.require(b"stsc")?;
+    let mut stsc = stbl.require(*b"stsc")?;
     stsc.version()?;
     let runs = stsc.entries(12)?;
     let mut run = |left: &mut usize| -> Result<Option<(usize, usize)>> {
@@ -408,7 +408,7 @@ fn offsets(stbl: Bytes<'_>, sizes: &[u32], length: u64) -> Result<Vec<u64>> {
 
 /// When each sample is shown, in the time of the media.
 fn times(stbl: Bytes<'_>, count: usize) -> Result<Vec<i64>> {
-    let mut stts = stbl.require(b"stts")?;
+    let mut stts = stbl.require(*b"stts")?;
     stts.version()?;
     let mut times = Vec::with_capacity(count);
     let mut now = 0_i64;
@@ -425,7 +425,7 @@ fn times(stbl: Bytes<'_>, count: usize) -> Result<Vec<i64>> {
     if times.len() != count {
         return damaged("its tables (stts, stsz) disagree on the number of frames");
     }
-    if let Some(mut ctts) = stbl.find(b"ctts")? {
+    if let Some(mut ctts) = stbl.find(*b"ctts")? {
         ctts.version()?;
         let mut at = 0;
         for _ in 0..ctts.entries(8)? {
@@ -435,7 +435,9 @@ fn times(stbl: Bytes<'_>, count: usize) -> Result<Vec<i64>> {
             let Some(shown) = times.get_mut(at..).and_then(|rest| rest.get_mut(..run)) else {
                 return damaged("its tables (ctts, stsz) disagree on the number of frames");
             };
-            shown.iter_mut().for_each(|time| *time += offset);
+            for time in shown {
+                *time += offset;
+            }
             at += run;
         }
         if at != count {
