@@ -69,15 +69,17 @@ fn planes(path: &std::path::Path) -> Result<(), LerobotError> {
             };
             let mut hash = Sha256::new();
             let decoded = video.decode(0..video.frames(), &|| false, |_, planes| {
-                [&planes.y, &planes.u, &planes.v]
-                    .iter()
-                    .for_each(|plane| hash.update(plane));
+                for plane in [&planes.y, &planes.u, &planes.v] {
+                    hash.update(plane);
+                }
                 Ok::<(), Fault>(())
             });
             match decoded {
                 Ok(()) => {
-                    let text: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-                    println!("{text}  {}", video.name());
+                    for byte in hash.finalize() {
+                        print!("{byte:02x}");
+                    }
+                    println!("  {}", video.name());
                 }
                 Err(fault) => eprintln!("{}", fault.sentence()),
             }

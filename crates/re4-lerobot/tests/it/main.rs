@@ -9,6 +9,7 @@
     reason = "helpers of tests may fail and print like tests"
 )]
 
+#[allow(clippy::too_many_lines, reason = "lists of cases")]
 mod mutations;
 mod random;
 mod samples;

@@ -1,5 +1,6 @@
 //! Copies of samples, changes of their files, and what reading them gives.
 
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -31,7 +32,10 @@ pub(crate) fn samples() -> Option<PathBuf> {
 }
 
 pub(crate) fn hex(bytes: impl AsRef<[u8]>) -> String {
-    bytes.as_ref().iter().map(|byte| format!("{byte:02x}")).collect()
+    bytes.as_ref().iter().fold(String::new(), |mut text, byte| {
+        write!(text, "{byte:02x}").unwrap();
+        text
+    })
 }
 
 /// A copy of a sample that may be changed.
@@ -186,7 +190,9 @@ pub(crate) fn rows(table: &RecordBatch, order: &[usize]) -> RecordBatch {
     let path = tempfile::NamedTempFile::new().unwrap();
     // Parquet is the simplest concatenation without a further dependency.
     let mut writer = ArrowWriter::try_new(path.reopen().unwrap(), table.schema(), None).unwrap();
-    pieces.iter().for_each(|piece| writer.write(piece).unwrap());
+    for piece in &pieces {
+        writer.write(piece).unwrap();
+    }
     writer.close().unwrap();
     read_table(path.path())
 }
@@ -248,13 +254,14 @@ pub(crate) fn contents(root: &Path, images: bool) -> Result<Contents, Vec<re4_le
         );
     }
     let images = images.then(|| hex(pixels.finalize()));
-    match found.is_empty() {
-        true => Ok(Contents {
+    if found.is_empty() {
+        Ok(Contents {
             lengths,
             numbers: hex(hash.finalize()),
             images,
-        }),
-        false => Err(found),
+        })
+    } else {
+        Err(found)
     }
 }
 

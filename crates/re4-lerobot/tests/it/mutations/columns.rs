@@ -74,7 +74,7 @@ fn columns_of_the_data() {
             |c| {
                 c.info(|map| {
                     drop(map["features"].as_object_mut().unwrap().remove("action"));
-                })
+                });
             },
             Refused(DATA, "action"),
         ),
@@ -138,7 +138,7 @@ fn columns_of_the_data() {
                 c.column(DATA, "timestamp", |a| {
                     let singles = a.as_primitive::<Float32Type>();
                     Arc::new(singles.iter().map(|time| time.map(f64::from)).collect::<Float64Array>())
-                })
+                });
             },
             Same,
         ),
@@ -154,7 +154,7 @@ fn columns_of_the_data() {
                             .map(|value| value.map(|value| value as i32))
                             .collect::<Int32Array>(),
                     )
-                })
+                });
             },
             Same,
         ),
@@ -170,7 +170,7 @@ fn columns_of_the_data() {
                             .map(|value| value.map(|value| value as f64))
                             .collect::<Float64Array>(),
                     )
-                })
+                });
             },
             Same,
         ),
@@ -185,7 +185,7 @@ fn columns_of_the_data() {
                         builder.append(true);
                     }
                     Arc::new(builder.finish())
-                })
+                });
             },
             Same,
         ),
@@ -200,7 +200,7 @@ fn columns_of_the_data() {
                         builder.append(true);
                     }
                     Arc::new(builder.finish())
-                })
+                });
             },
             Same,
         ),
@@ -252,7 +252,7 @@ fn columns_of_the_data() {
             |c| {
                 c.column(DATA, "timestamp", |a| {
                     singles(a, |row, v| if row == 300 { f32::NAN } else { v })
-                })
+                });
             },
             Refused(DATA, "timestamp"),
         ),
@@ -262,7 +262,7 @@ fn columns_of_the_data() {
             |c| {
                 c.column(DATA, "timestamp", |a| {
                     singles(a, |row, v| v * 1.001 + row as f32 * 1e-4)
-                })
+                });
             },
             Refused(DATA, "timestamp"),
         ),
@@ -316,7 +316,7 @@ fn columns_of_the_data() {
                             .map(|value| value.map(i64::from))
                             .collect::<Int64Array>(),
                     )
-                })
+                });
             },
             Same,
         ),
@@ -332,7 +332,7 @@ fn columns_of_the_data() {
             |c| {
                 c.column(DATA, "observation.image", |_| {
                     Arc::new(BooleanArray::from(vec![true; 420]))
-                })
+                });
             },
             Refused(DATA, "observation.image"),
         ),
@@ -354,7 +354,7 @@ fn images_in_the_data() {
             |c| {
                 c.column(DATA, "observation.image", |a| {
                     Arc::clone(a.as_struct().column_by_name("bytes").unwrap())
-                })
+                });
             },
             Same,
         ),

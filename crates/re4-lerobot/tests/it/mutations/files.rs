@@ -100,7 +100,7 @@ fn missing_and_stray_files() {
             AV1,
             |c| {
                 c.bytes(DATA, |bytes| {
-                    *bytes = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n".to_vec()
+                    *bytes = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n".to_vec();
                 });
             },
             Refused(DATA, ""),

@@ -11,7 +11,7 @@ use arrow_array::cast::AsArray as _;
 use arrow_array::types::{Float32Type, Float64Type, Int64Type};
 use arrow_array::{Array, ArrayRef, BinaryArray, Float32Array, Float64Array, Int64Array, StringArray, StructArray};
 use arrow_schema::Field;
-use re4_fault::Remedy as _;
+use re4_fault::Remedy;
 
 use super::support::{Contents, Copy, contents, samples};
 
@@ -117,13 +117,8 @@ pub(super) fn check(cases: &[Case]) {
         let copy = Copy::of(&folder.join(sample));
         change(&copy);
         let found = contents(copy.root(), true);
-        let sentences = |faults: &[re4_lerobot::Fault]| {
-            faults
-                .iter()
-                .map(|fault| fault.sentence())
-                .collect::<Vec<_>>()
-                .join("\n    ")
-        };
+        let sentences =
+            |faults: &[re4_lerobot::Fault]| faults.iter().map(Remedy::sentence).collect::<Vec<_>>().join("\n    ");
         match (then, found) {
             (Same, Ok(found)) if found == *original => println!("{name}: read"),
             (Refused(file, object), Err(faults)) => {

@@ -171,7 +171,7 @@ fn tables_of_episodes_and_tasks() {
             |c| {
                 c.column(EPISODES, "data/chunk_index", |a| {
                     counts(a, |row, v| v + i64::from(row == 2))
-                })
+                });
             },
             Refused("data/chunk-001/file-000.parquet", ""),
         ),
@@ -300,7 +300,7 @@ fn tables_of_episodes_and_tasks() {
             OLD,
             |c| {
                 c.lines("meta/episodes.jsonl", |lines| {
-                    lines[1] = lines[1].replace("\"length\"", "\"frames\"")
+                    lines[1] = lines[1].replace("\"length\"", "\"frames\"");
                 });
             },
             Refused("meta/episodes.jsonl", "length"),
