@@ -7,7 +7,7 @@ use re4_geometry::{Point2, Pose2};
 
 use crate::anchor::Anchor;
 use crate::component::{centroid, largest};
-use crate::image::{BlockLayer, PushtImage};
+use crate::image::{BlockLayer, PushtImage, Storage};
 use crate::log_polar::{LogPolar, Signature};
 use crate::outline::Outline;
 use crate::refine::{agreement, refine};
@@ -104,6 +104,9 @@ pub struct LogPolarEstimator {
     centroid: Point2,
     outline: Outline,
     refined: bool,
+    /// Fraction of each pixel that the goal covers.
+    goal: Vec<f32>,
+    storage: Storage,
 }
 
 impl LogPolarEstimator {
@@ -118,12 +121,20 @@ impl LogPolarEstimator {
             centroid: outline.centroid(),
             outline,
             refined,
+            goal: anchor.fractions().to_vec(),
+            storage: Storage::Lossless,
         }
+    }
+
+    /// The same estimator for images that were stored in this way.
+    #[must_use]
+    pub fn for_images(self, storage: Storage) -> Self {
+        Self { storage, ..self }
     }
 
     /// Estimates the pose of the block in an image.
     pub fn estimate(&self, image: &PushtImage<'_>) -> Estimate {
-        let layer = BlockLayer::of(image);
+        let layer = BlockLayer::of(image, self.storage, &self.goal);
         let Some(region) = largest(&layer.fractions, &layer.pixels) else {
             return Estimate::NO_BLOCK;
         };

@@ -66,6 +66,16 @@ impl<'a> PushtImage<'a> {
     }
 }
 
+/// How images were stored. Lossy compression tints the pixels around coloured shapes, which changes the segmentation by colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Storage {
+    /// As rendered: PNG files, or arrays of bytes.
+    #[default]
+    Lossless,
+    /// Decoded from a video, which stores colour with less resolution than brightness.
+    Lossy,
+}
+
 /// Blue minus red in the block's outline (119, 136, 153); inside, (143, 163, 184), it is 41. Of the other colours, white, the
 /// grey walls and the light green goal have no such excess; the pusher's blue has 160 and more.
 const BLOCK_EXCESS: f32 = 34.0;
@@ -75,6 +85,32 @@ const PUSHER_EXCESS: i16 = 50;
 
 /// Only the red contact marks have a larger excess of red over green than this.
 const MARK_EXCESS: i16 = 6;
+
+/// In lossy images, blue minus red of the pixels that show something of the block. White and the goal have up to 8 of it, because the
+/// codec rounds colours.
+const LOSSY_BLOCK: i16 = 8;
+
+/// Same as [`PUSHER_EXCESS`] for lossy images, in which the block's excess varies by 6 to 10 (standard deviation).
+const LOSSY_PUSHER: i16 = 55;
+
+/// Same as [`MARK_EXCESS`] for lossy images.
+const LOSSY_MARK: i16 = 20;
+
+/// Brightness of the floor.
+const WHITE: f32 = luma([255, 255, 255]);
+
+/// Brightness of the goal.
+const GOAL: f32 = luma([144, 238, 144]);
+
+/// Brightness of the inside of the block.
+const BLOCK: f32 = luma([143, 163, 184]);
+
+/// How far, in pixels, an edge of the block can be from a pixel with its colour in a lossy image: videos store one colour for 2 x 2
+/// pixels.
+const EDGE: usize = 2;
+
+/// Smaller fractions than this are noise of the codec.
+const MINIMUM_FRACTION: f32 = 0.2;
 
 /// Green minus red, and green minus blue, in the goal, (144, 238, 144).
 const GOAL_EXCESS: f32 = 94.0;
@@ -90,31 +126,86 @@ pub(crate) struct BlockLayer {
 }
 
 impl BlockLayer {
-    pub(crate) fn of(image: &PushtImage<'_>) -> Self {
-        let mut fractions = vec![0.0; SIDE * SIDE];
-        let mut hidden = vec![false; SIDE * SIDE];
-        let mut pixels = Vec::with_capacity(512);
+    /// The layer of an image. `goal` is the fraction of each pixel that the goal covers.
+    pub(crate) fn of(image: &PushtImage<'_>, storage: Storage, goal: &[f32]) -> Self {
+        match storage {
+            Storage::Lossless => Self::by_colour(image),
+            Storage::Lossy => Self::by_brightness(image, goal),
+        }
+    }
+
+    fn by_colour(image: &PushtImage<'_>) -> Self {
+        let mut layer = Self::empty();
         for (i, &[red, green, blue]) in image.pixels().iter().enumerate() {
             let [red, green, blue] = [red, green, blue].map(i16::from);
             let excess = blue - red;
             if excess > PUSHER_EXCESS || red - green > MARK_EXCESS {
-                let (row, column) = (i / SIDE, i % SIDE);
-                for y in row.saturating_sub(1)..=(row + 1).min(SIDE - 1) {
-                    for x in column.saturating_sub(1)..=(column + 1).min(SIDE - 1) {
-                        hidden[y * SIDE + x] = true;
-                    }
-                }
+                layer.hide_around(i);
             } else if excess > 0 {
-                fractions[i] = (f32::from(excess) / BLOCK_EXCESS).min(1.0);
-                pixels.push(i);
+                layer.fractions[i] = (f32::from(excess) / BLOCK_EXCESS).min(1.0);
+                layer.pixels.push(i);
             }
         }
+        layer
+    }
+
+    /// Videos store colour at half the resolution, and brightness at the full one. The colour shows where the block is, and the
+    /// brightness where its edges are.
+    fn by_brightness(image: &PushtImage<'_>, goal: &[f32]) -> Self {
+        let mut layer = Self::empty();
+        let mut near = vec![false; SIDE * SIDE];
+        for (i, &[red, green, blue]) in image.pixels().iter().enumerate() {
+            let [red, green, blue] = [red, green, blue].map(i16::from);
+            let excess = blue - red;
+            if excess > LOSSY_PUSHER || red - green > LOSSY_MARK {
+                layer.hide_around(i);
+            } else if excess > LOSSY_BLOCK {
+                for at in around(i, EDGE) {
+                    near[at] = true;
+                }
+            }
+        }
+        for (i, &pixel) in image.pixels().iter().enumerate() {
+            if !near[i] {
+                continue;
+            }
+            let background = WHITE + goal[i] * (GOAL - WHITE);
+            let fraction = (background - luma(pixel)) / (background - BLOCK);
+            if fraction > MINIMUM_FRACTION {
+                layer.fractions[i] = fraction.min(1.0);
+                layer.pixels.push(i);
+            }
+        }
+        layer
+    }
+
+    fn empty() -> Self {
         Self {
-            fractions,
-            pixels,
-            hidden,
+            fractions: vec![0.0; SIDE * SIDE],
+            hidden: vec![false; SIDE * SIDE],
+            pixels: Vec::with_capacity(512),
         }
     }
+
+    /// Marks a pixel and its neighbours as hidden.
+    fn hide_around(&mut self, at: usize) {
+        for at in around(at, 1) {
+            self.hidden[at] = true;
+        }
+    }
+}
+
+/// Brightness of a colour (BT.601), 0 to 255.
+const fn luma([red, green, blue]: [u8; 3]) -> f32 {
+    0.299 * red as f32 + 0.587 * green as f32 + 0.114 * blue as f32
+}
+
+/// The pixels at most `reach` columns and rows away from a pixel.
+fn around(at: usize, reach: usize) -> impl Iterator<Item = usize> {
+    let (row, column) = (at / SIDE, at % SIDE);
+    let columns = column.saturating_sub(reach)..=(column + reach).min(SIDE - 1);
+    (row.saturating_sub(reach)..=(row + reach).min(SIDE - 1))
+        .flat_map(move |y| columns.clone().map(move |x| y * SIDE + x))
 }
 
 /// The fraction of an image pixel that has the goal's colour, 0 to 1.

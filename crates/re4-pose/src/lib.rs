@@ -20,7 +20,7 @@ mod tables;
 
 pub use anchor::{Anchor, AnchorBuilder, AnchorError};
 pub use estimator::{Estimate, Flag, LogPolarEstimator};
-pub use image::{ImageError, PushtImage, SIDE};
+pub use image::{ImageError, PushtImage, SIDE, Storage};
 pub use outline::Outline;
 pub use smooth::{between_clear, by_mode};
 pub use tables::{AnchorRow, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};

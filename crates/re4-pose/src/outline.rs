@@ -2,7 +2,7 @@
 
 use re4_geometry::{Point2, Pose2};
 
-use crate::image::SCALE;
+use crate::image::{SCALE, SIDE, world};
 
 /// The shape of the block in its own frame, in world pixels: a union of rectangles, each rendered with a stroke around it.
 #[derive(Debug, Clone, PartialEq)]
@@ -105,6 +105,18 @@ impl Outline {
         for value in values {
             *value -= self.stroke;
         }
+    }
+
+    /// For each of the 96 x 96 pixels of an image, row by row, the fraction that the shape covers at `pose`: 0 to 1, with an edge that is
+    /// one pixel wide.
+    pub(crate) fn mask(&self, pose: Pose2) -> Vec<f32> {
+        let block_from_world = pose.inverse();
+        let fraction = |at: usize| {
+            let point = Point2::new(world((at % SIDE) as f64), world((at / SIDE) as f64));
+            let distance = self.distance(block_from_world.transform_point(point)).value;
+            (0.5 - distance / SCALE).clamp(0.0, 1.0) as f32
+        };
+        (0..SIDE * SIDE).map(fraction).collect()
     }
 
     /// Signed distance of a point in the block's frame.

@@ -8,7 +8,7 @@ use common::{PUSHER, error, estimator, outline, paint_disc, rendered, unobstruct
 use proptest::prelude::*;
 use re4_fault::Remedy as _;
 use re4_geometry::{Point2, Pose2};
-use re4_pose::{AnchorBuilder, AnchorError, Flag, LogPolarEstimator, PushtImage};
+use re4_pose::{AnchorBuilder, AnchorError, Flag, LogPolarEstimator, PushtImage, Storage};
 use re4_sim::{GOAL, PushT, ResetOrder, Scene, Simulator as _};
 
 static REFINED: LazyLock<LogPolarEstimator> = LazyLock::new(|| estimator(true));
@@ -130,7 +130,7 @@ fn calibrated(images: &[Vec<u8>], goal: Pose2) -> Result<re4_pose::Anchor, Ancho
     for image in images {
         builder.add(&view(image));
     }
-    builder.finish(goal, &outline())
+    builder.finish(goal, &outline(), Storage::Lossless)
 }
 
 #[test]

@@ -5,7 +5,7 @@
 use std::f64::consts::TAU;
 
 use re4_geometry::{Point2, Pose2, periodic_distance};
-use re4_pose::{AnchorBuilder, Estimate, LogPolarEstimator, Outline, PushtImage, SIDE};
+use re4_pose::{AnchorBuilder, Estimate, LogPolarEstimator, Outline, PushtImage, SIDE, Storage};
 use re4_sim::{GOAL, OUTLINE_RADIUS, render_state, tee_rectangles};
 
 pub(crate) const PUSHER: [u8; 3] = [65, 105, 225];
@@ -30,7 +30,11 @@ pub(crate) fn view(image: &[u8]) -> PushtImage<'_> {
 pub(crate) fn estimator(refined: bool) -> LogPolarEstimator {
     let mut builder = AnchorBuilder::default();
     builder.add(&view(&unobstructed(Pose2::new(110.0, 110.0, 0.3))));
-    LogPolarEstimator::new(&builder.finish(GOAL, &outline()).unwrap(), outline(), refined)
+    LogPolarEstimator::new(
+        &builder.finish(GOAL, &outline(), Storage::Lossless).unwrap(),
+        outline(),
+        refined,
+    )
 }
 
 /// Distance in px and angle in degrees from the true pose.
