@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result};
 use re4_artifact::Row as _;
 use re4_artifact::{Artifact, col_f64};
-use re4_pose::{Anchor, LogPolarEstimator, Outline};
+use re4_pose::{Anchor, LogPolarEstimator, Outline, Storage};
 use re4_sim::{OUTLINE_RADIUS, tee_rectangles};
 
 use crate::pipeline::PoseSection;
@@ -11,7 +11,7 @@ use crate::pipeline::PoseSection;
 /// Name of the weights file in the artifact.
 pub(crate) const WEIGHTS: &str = "encoder.safetensors";
 
-/// The estimator with which a `poses` artifact was made.
+/// The estimator of a `poses` artifact, for images of the simulator, which are lossless.
 pub(crate) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<LogPolarEstimator> {
     let table = artifact
         .table(re4_pose::AnchorRow::table())?
@@ -27,6 +27,17 @@ pub(crate) fn open_estimator(artifact: &Artifact, pose: &PoseSection) -> Result<
         )
     })?;
     Ok(LogPolarEstimator::new(&anchor, outline(), pose.refine))
+}
+
+/// How the images of an `episodes` artifact of Push-T were stored in its source: as the setting says, or as the source does.
+pub(crate) fn storage(episodes: &Artifact, pose: &PoseSection) -> Storage {
+    let codings = episodes.manifest().source["image_coding"].as_object();
+    let of_source = || codings.is_some_and(|all| all.values().any(|coding| coding["lossy"] == true));
+    if pose.lossy.unwrap_or_else(of_source) {
+        Storage::Lossy
+    } else {
+        Storage::Lossless
+    }
 }
 
 /// The outline of the block as Push-T renders it.

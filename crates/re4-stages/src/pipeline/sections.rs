@@ -79,6 +79,11 @@ pub struct PoseSection {
     #[serde(default = "goal")]
     #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
     pub goal: [f64; 3],
+    /// For `log_polar`: whether the images were once compressed with loss, as videos are. Default: whether the source says so. Set it for
+    /// images that were decoded from a video before they were stored.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("only_with" = { "pose.source": "log_polar" }))]
+    pub lossy: Option<bool>,
     /// For `encoder`: the encoder and how it is trained. Default: the preset `re4`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<EncoderConfig>,

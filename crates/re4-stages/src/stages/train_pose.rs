@@ -19,13 +19,13 @@ use re4_geometry::{Pose2, periodic_distance};
 use re4_ingest::{FrameRow, ImageRow, PlanarColumns};
 use re4_policy::DemoNames;
 use re4_pose::{
-    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, ImageError, LogPolarEstimator, PoseRow, PushtImage, SIDE,
+    Anchor, AnchorBuilder, AnchorRow, Estimate, Flag, ImageError, LogPolarEstimator, PoseRow, PushtImage, SIDE, Storage,
 };
 use re4_stats::spread;
 use serde_json::{Value, json};
 
 use crate::inputs::demos::demo_names;
-use crate::inputs::estimators::outline;
+use crate::inputs::estimators::{outline, storage};
 use crate::inputs::images::check_images;
 use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
@@ -72,9 +72,11 @@ impl Runner {
             .input("episodes", episodes.key());
         self.build(&recipe, |writer| {
             let images = Images::open(episodes)?;
-            let anchor = self.calibrate(&images)?;
+            let pose = self.pipeline.pose()?;
+            let storage = storage(episodes, pose);
+            let anchor = self.calibrate(&images, storage)?;
             write_anchor(&anchor, writer)?;
-            let estimator = LogPolarEstimator::new(&anchor, outline(), self.pipeline.pose()?.refine);
+            let estimator = LogPolarEstimator::new(&anchor, outline(), pose.refine).for_images(storage);
             let estimates = self.estimate_all(&estimator, &images, writer)?;
             // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
             let evaluation = evaluate(&estimates, episodes)?;
@@ -95,7 +97,7 @@ impl Runner {
         })
     }
 
-    fn calibrate(&self, images: &Images) -> Result<Anchor> {
+    fn calibrate(&self, images: &Images, storage: Storage) -> Result<Anchor> {
         let mut builder = AnchorBuilder::default();
         for group in 0..images.table.row_groups() {
             self.interrupt.check("train-pose")?;
@@ -111,7 +113,7 @@ impl Runner {
         }
         let goal = self.pipeline.pose()?.goal();
         builder
-            .finish(goal, &outline())
+            .finish(goal, &outline(), storage)
             .with_context(|| format!("cannot calibrate on the images of {}", images.path.display()))
     }
 
