@@ -25,6 +25,16 @@ fn assert_interrupted(message: &str) {
 
 #[test]
 fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
+    interrupted_during_rollouts("INT");
+}
+
+/// Slurm and Kubernetes end, preempt and cancel with SIGTERM.
+#[test]
+fn a_terminated_run_ends_soon_and_leaves_nothing_half_written() {
+    interrupted_during_rollouts("TERM");
+}
+
+fn interrupted_during_rollouts(name: &str) {
     let place = Place::new();
     let mut child = place.start(LONG);
     let mut notes = BufReader::new(child.stderr.take().unwrap());
@@ -38,13 +48,13 @@ fn an_interrupted_run_ends_soon_and_leaves_nothing_half_written() {
     }
     // The signal may arrive before or during the rollouts; both are fine.
     std::thread::sleep(Duration::from_millis(200));
-    signal(&child, "INT");
+    signal(&child, name);
     let start = Instant::now();
     let mut message = String::new();
     notes.read_to_string(&mut message).unwrap();
     let status = child.wait().unwrap();
     let latency = start.elapsed();
-    assert_eq!(status.code(), Some(2), "{message}");
+    assert_eq!(status.code(), Some(75), "{message}");
     let mut out = String::new();
     child.stdout.take().unwrap().read_to_string(&mut out).unwrap();
     assert_eq!(out, "");
@@ -75,7 +85,7 @@ fn an_interrupt_at_any_moment_is_handled_cleanly() {
         match (output.status.code(), output.status.signal()) {
             // The run had finished before the signal arrived.
             (Some(0), _) => {}
-            (Some(2), _) => {
+            (Some(75), _) => {
                 let last = message.lines().last().unwrap_or_default();
                 assert_interrupted(last);
             }

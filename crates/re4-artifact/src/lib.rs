@@ -49,6 +49,7 @@ pub mod episodes;
 mod error;
 mod key;
 mod manifest;
+mod owner;
 mod reader;
 mod rows;
 mod spec;

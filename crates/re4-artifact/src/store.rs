@@ -12,13 +12,17 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::canonical::{canonical_json, canonical_text};
-use crate::disk::{LOCK_NAME, TEMPORARY_PREFIX, is_alive, lock};
 use crate::error::ArtifactError;
 use crate::key::{Key, Recipe, Stage};
+use crate::owner::{is_leftover, prefix};
 use crate::reader::Artifact;
-use crate::writer::{Writer, remove_own};
+use crate::writer::{Publication, Writer, remove_own};
 
 const RUNS: &str = "runs";
+
+/// Folder of the temporary files and folders of all writers. It is apart from the artifacts, so that leftovers are found without
+/// listing these, and removed when it is empty.
+const UNFINISHED: &str = ".unfinished";
 
 /// A folder of artifacts.
 ///
@@ -50,32 +54,28 @@ impl Store {
             root: root.to_path_buf(),
             verified: None,
         };
-        match store.lock() {
-            Ok(guard) => {
-                store.remove_leftovers()?;
-                drop(guard);
-            }
-            // Existing artifacts can still be read and verified. The first write returns this error again.
+        match store.remove_leftovers() {
+            // Existing artifacts can still be read and verified. The first write returns an error.
             Err(ArtifactError::Io { source, .. })
                 if matches!(
                     source.kind(),
                     io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem | io::ErrorKind::StorageFull
                 ) => {}
-            Err(error) => return Err(error),
+            removed => removed?,
         }
         Ok(store)
     }
 
-    /// Removes all unpublished files of this process and of processes that no longer run.
+    /// Removes all unpublished files of this process.
     ///
-    /// To be called right before the process exits, while its other threads may still be writing. The returned value holds the
-    /// lock of the store; keep it until the exit, so that no thread publishes an artifact. `None` if the lock is unavailable.
-    pub fn abandon(&self) -> Option<impl Sized> {
-        let guard = self.lock().ok()?;
+    /// To be called right before the process exits, while its other threads may still be writing. Keep the returned value until the
+    /// exit, so that no thread publishes an artifact.
+    #[must_use]
+    pub fn abandon(&self) -> impl Sized + use<> {
+        let publication = Publication::wait();
         remove_own();
-        // Leftovers that cannot be removed now are removed when the store is opened the next time.
-        let _ = self.remove_leftovers();
-        Some(guard)
+        self.remove_if_empty();
+        publication
     }
 
     /// The same store, for a process that looks up the same artifacts many times: [`Store::lookup`] reads the bytes of an artifact
@@ -155,18 +155,15 @@ impl Store {
         let text = canonical_text(&canonical_json(summary)?);
         let folder = self.root.join(RUNS);
         let path = folder.join(format!("{stage}-{}.json", key.short()));
-        // `remove_leftovers` deletes temporary files in this folder under the same lock, so it cannot delete this one.
-        let guard = self.lock()?;
         fs::create_dir_all(&folder).map_err(ArtifactError::io("create the folder", &folder))?;
-        let mut file = tempfile::Builder::new()
-            .prefix(TEMPORARY_PREFIX)
-            .tempfile_in(&folder)
+        let mut file = self
+            .temporary(|unfinished| tempfile::Builder::new().prefix(&prefix("run")).tempfile_in(unfinished))
             .map_err(ArtifactError::io("write", &path))?;
         file.write_all(text.as_bytes())
             .map_err(ArtifactError::io("write", &path))?;
         file.persist(&path)
             .map_err(|error| ArtifactError::io("write", &path)(error.error))?;
-        drop(guard);
+        self.remove_if_empty();
         Ok(path)
     }
 
@@ -176,23 +173,41 @@ impl Store {
         serde_json::from_slice(&fs::read(path).ok()?).ok()
     }
 
-    /// Acquires the lock of the whole store. It is held only while a temporary folder is created, published or removed.
-    pub(crate) fn lock(&self) -> Result<fs::File, ArtifactError> {
-        lock(&self.root.join(LOCK_NAME))
+    /// Creates a temporary file or folder with `create`, which gets the folder for it.
+    pub(crate) fn temporary<T>(&self, create: impl Fn(&Path) -> io::Result<T>) -> io::Result<T> {
+        let unfinished = self.root.join(UNFINISHED);
+        loop {
+            fs::create_dir_all(&unfinished)?;
+            match create(&unfinished) {
+                // Another process has removed the folder because it was empty.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                created => return created,
+            }
+        }
+    }
+
+    /// Removes the folder of temporary files if it is empty.
+    pub(crate) fn remove_if_empty(&self) {
+        let _ = fs::remove_dir(self.root.join(UNFINISHED));
     }
 
     fn remove_leftovers(&self) -> Result<(), ArtifactError> {
-        let runs = entries(&self.root.join(RUNS))?;
-        for path in runs.into_iter().filter(|path| is_temporary(path)) {
-            fs::remove_file(&path).map_err(ArtifactError::io("remove the leftover", &path))?;
-        }
-        for stage in Stage::ALL {
-            for path in entries(&self.root.join(stage.artifact()))? {
-                if is_temporary(&path) && !is_alive(&path) {
-                    fs::remove_dir_all(&path).map_err(ArtifactError::io("remove the leftover", &path))?;
-                }
+        for path in entries(&self.root.join(UNFINISHED))? {
+            if !is_leftover(&path) {
+                continue;
+            }
+            let removed = if path.is_dir() {
+                fs::remove_dir_all(&path)
+            } else {
+                fs::remove_file(&path)
+            };
+            match removed {
+                // Another process has removed it.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                removed => removed.map_err(ArtifactError::io("remove the leftover", &path))?,
             }
         }
+        self.remove_if_empty();
         Ok(())
     }
 }
@@ -213,11 +228,6 @@ fn file_states(folder: &Path) -> io::Result<Vec<FileState>> {
     let mut states: Vec<FileState> = fs::read_dir(folder)?.map(state).collect::<io::Result<_>>()?;
     states.sort();
     Ok(states)
-}
-
-fn is_temporary(path: &Path) -> bool {
-    path.file_name()
-        .is_some_and(|name| name.to_string_lossy().starts_with(TEMPORARY_PREFIX))
 }
 
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ArtifactError> {

@@ -19,10 +19,11 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::columns::{Columns, check_rows};
-use crate::disk::{LOCK_NAME, TEMPORARY_PREFIX, lock, sync_folder};
+use crate::disk::sync_folder;
 use crate::error::ArtifactError;
 use crate::key::Recipe;
 use crate::manifest::{FileSummary, MANIFEST_NAME, Manifest, TableSummary};
+use crate::owner::{hold, prefix};
 use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
 use crate::store::Store;
@@ -50,18 +51,70 @@ pub struct Writer {
     store: Store,
     recipe: Recipe,
     folder: PathBuf,
-    temporary: TempDir,
-    lock: File,
+    temporary: Temporary,
+    lock: Option<File>,
     tables: Arc<Mutex<BTreeMap<&'static str, Option<TableSummary>>>>,
     files: Mutex<BTreeMap<String, FileSummary>>,
+}
+
+/// The temporary folder of a writer. It is removed on drop, unless it was published.
+#[derive(Debug)]
+struct Temporary {
+    folder: Option<TempDir>,
+    path: PathBuf,
+    store: Store,
+}
+
+impl Temporary {
+    fn new(store: &Store, key: &str) -> Result<Self, ArtifactError> {
+        let prefix = prefix(key);
+        let folder = store
+            .temporary(|unfinished| tempfile::Builder::new().prefix(&prefix).tempdir_in(unfinished))
+            .map_err(ArtifactError::io("create a temporary folder in", store.root()))?;
+        Ok(Self {
+            path: folder.path().to_path_buf(),
+            folder: Some(folder),
+            store: store.clone(),
+        })
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// To be called after the folder was renamed, so that nothing is at its path.
+    fn published(mut self) {
+        let _ = self.folder.take().map(TempDir::keep);
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        drop(self.folder.take());
+        self.store.remove_if_empty();
+    }
 }
 
 /// Temporary folders that writers of this process created. Some of them may have been published or removed.
 static OWN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
+/// The right to publish in this process. Only one thread has it at a time.
+static PUBLICATION: Mutex<()> = Mutex::new(());
+
+/// Holds the right to publish until it is dropped.
+#[derive(Debug)]
+pub(crate) struct Publication(#[expect(dead_code, reason = "held, not used")] MutexGuard<'static, ()>);
+
+impl Publication {
+    /// Waits until no other thread publishes.
+    pub(crate) fn wait() -> Self {
+        Self(locked(&PUBLICATION))
+    }
+}
+
 /// Removes the temporary folders of this process.
 ///
-/// Only for a process that is about to exit. The caller must hold the store's lock until the exit: a writer that is still running
+/// Only for a process that is about to exit. The caller must hold the right to publish until the exit: a writer that is still running
 /// then fails and cannot publish.
 pub(crate) fn remove_own() {
     for path in std::mem::take(&mut *locked(&OWN)) {
@@ -79,22 +132,15 @@ impl Writer {
     pub(crate) fn new(store: &Store, recipe: &Recipe) -> Result<Self, ArtifactError> {
         let key = recipe.key();
         let folder = store.folder(recipe.stage(), &key);
-        let parent = store.root().join(recipe.stage().artifact());
-        let guard = store.lock()?;
-        fs::create_dir_all(&parent).map_err(ArtifactError::io("create the folder", &parent))?;
-        let temporary = tempfile::Builder::new()
-            .prefix(&format!("{TEMPORARY_PREFIX}{}-", key.short()))
-            .tempdir_in(&parent)
-            .map_err(ArtifactError::io("create a temporary folder in", &parent))?;
-        let own_lock = lock(&temporary.path().join(LOCK_NAME))?;
+        let temporary = Temporary::new(store, &key.short())?;
+        let lock = hold(temporary.path());
         locked(&OWN).insert(temporary.path().to_path_buf());
-        drop(guard);
         Ok(Self {
             store: store.clone(),
             recipe: recipe.clone(),
             folder,
             temporary,
-            lock: own_lock,
+            lock,
             tables: Arc::default(),
             files: Mutex::default(),
         })
@@ -209,26 +255,37 @@ impl Writer {
     }
 
     fn move_to_final_folder(self, ours: &Manifest) -> Result<Artifact, ArtifactError> {
-        let guard = self.store.lock()?;
-        let key = self.recipe.key();
-        if let Some(theirs) = self.store.lookup(self.recipe.stage(), &key)? {
+        let Self {
+            store,
+            recipe,
+            folder,
+            temporary,
+            lock,
+            ..
+        } = self;
+        let _publication = Publication::wait();
+        let key = recipe.key();
+        if let Some(theirs) = store.lookup(recipe.stage(), &key)? {
             return same_bytes(theirs, ours);
         }
-        // The lock file is not part of the artifact. Without it the temporary folder looks like a leftover, but other processes
-        // cannot remove it while this one holds the store's lock.
-        let lock_path = self.temporary.path().join(LOCK_NAME);
-        fs::remove_file(&lock_path).map_err(ArtifactError::io("remove", &lock_path))?;
-        sync_folder(self.temporary.path())?;
-        fs::rename(self.temporary.path(), &self.folder).map_err(ArtifactError::io("publish", &self.folder))?;
-        // The folder was renamed, so there is nothing to remove at the temporary path.
-        let _ = self.temporary.keep();
-        if let Some(parent) = self.folder.parent() {
+        if let Some(parent) = folder.parent() {
+            fs::create_dir_all(parent).map_err(ArtifactError::io("create the folder", parent))?;
+        }
+        sync_folder(temporary.path())?;
+        // No lock is needed: a rename does not replace a folder that is not empty.
+        if let Err(error) = fs::rename(temporary.path(), &folder) {
+            // Another process, perhaps on another machine, may have published the artifact since the lookup.
+            return match store.lookup(recipe.stage(), &key)? {
+                Some(theirs) => same_bytes(theirs, ours),
+                None => Err(ArtifactError::io("publish", &folder)(error)),
+            };
+        }
+        temporary.published();
+        drop(lock);
+        if let Some(parent) = folder.parent() {
             sync_folder(parent)?;
         }
-        // Both locks are held until the folder has its final name.
-        drop(guard);
-        drop(self.lock);
-        Artifact::open(&self.folder)
+        Artifact::open(&folder)
     }
 
     fn unfinished(&self, table: &str, reason: &'static str) -> ArtifactError {

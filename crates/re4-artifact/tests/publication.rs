@@ -107,20 +107,29 @@ fn opening_a_store_removes_leftovers_but_not_the_files_of_a_running_writer() {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path()).unwrap();
     let writer = half_written(&store);
-    let dead = root.path().join("modes/.tmp-0123456789abcdef-dead00");
+    let [own] = <[String; 1]>::try_from(artifact_names(root.path())).unwrap();
+    assert!(own.starts_with(&format!(".tmp-{}-", recipe(1).key().short())), "{own}");
+    // The same process at another time, and so one that no longer runs.
+    let (before, random) = own.rsplit_once('-').unwrap();
+    let unfinished = root.path().join(".unfinished");
+    let dead = unfinished.join(format!("{before}0-{random}"));
     fs::create_dir(&dead).unwrap();
-    fs::write(dead.join(".lock"), "").unwrap();
     fs::write(dead.join("modes.parquet"), "half").unwrap();
-    fs::create_dir(root.path().join("modes/.tmp-0123456789abcdef-lockless")).unwrap();
-    fs::create_dir(root.path().join("runs")).unwrap();
-    fs::write(root.path().join("runs/.tmp-dead"), "{").unwrap();
+    fs::write(unfinished.join(format!("{before}1-{random}")), "{").unwrap();
+    // A writer on another machine.
+    let mut parts: Vec<&str> = own.split('-').collect();
+    parts[2] = "node17";
+    let elsewhere = parts.join("-");
+    fs::create_dir(unfinished.join(&elsewhere)).unwrap();
     Store::open(root.path()).unwrap();
-    let names = artifact_names(root.path());
-    assert_eq!(names.len(), 1, "{names:?}");
-    assert!(names[0].starts_with(&format!(".tmp-{}-", recipe(1).key().short())));
-    assert!(fs::read_dir(root.path().join("runs")).unwrap().next().is_none());
+    let mut expected = [own, elsewhere.clone()];
+    expected.sort();
+    assert_eq!(artifact_names(root.path()), expected);
     drop(writer);
-    assert!(artifact_names(root.path()).is_empty());
+    assert_eq!(artifact_names(root.path()), [elsewhere.clone()]);
+    fs::remove_dir(unfinished.join(elsewhere)).unwrap();
+    Store::open(root.path()).unwrap();
+    assert!(!unfinished.exists());
 }
 
 #[test]
@@ -156,7 +165,7 @@ fn a_published_artifact_is_found() {
 
 /// Whether a process has started to write an artifact and has not yet published it.
 fn is_writing(root: &Path) -> bool {
-    let Ok(entries) = fs::read_dir(root.join("modes")) else {
+    let Ok(entries) = fs::read_dir(root.join(".unfinished")) else {
         return false;
     };
     entries
@@ -369,8 +378,8 @@ fn missing_permission_is_reported() {
         String::from_utf8_lossy(&output.stderr)
     );
     let sentence = format!(
-        "refused: cannot write {}: permission denied; give yourself write permission there or choose another artifacts folder",
-        root.path().join(".lock").display()
+        "refused: cannot create a temporary folder in {}: permission denied; give yourself write permission there or choose another artifacts folder",
+        root.path().display()
     );
     assert!(stdout.contains(&sentence), "{stdout}");
     assert!(fs::read_dir(root.path()).unwrap().next().is_none());

@@ -1,7 +1,7 @@
 //! The program `re4-pipe`: from robot demonstrations to explainable imitation policies.
 //!
 //! This crate parses arguments, prints results and sets the exit code. The stages are implemented in `re4-stages`. Exit codes: 0
-//! success, 1 a check failed, 2 an error of the input or the machine.
+//! success, 1 a check failed, 2 an error of the input or the machine, 75 interrupted.
 
 mod arguments;
 mod commands;
@@ -13,7 +13,7 @@ mod terminal;
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use re4_stages::answer;
+use re4_stages::{TRY_AGAIN, answer, was_interrupted};
 
 use crate::arguments::{Arguments, Command};
 
@@ -68,7 +68,7 @@ fn main() -> ExitCode {
         Err(error) => {
             if answer() {
                 console::print_error(&error, json);
-                ExitCode::from(2)
+                ExitCode::from(if was_interrupted() { TRY_AGAIN } else { 2 })
             } else {
                 // The watchdog prints the error and ends the process.
                 loop {

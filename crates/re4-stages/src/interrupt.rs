@@ -24,6 +24,18 @@ const GONE: Duration = Duration::from_millis(100);
 /// Whether the program's final message is being printed. Either the stage or the watchdog prints it, but not both.
 static ANSWERED: AtomicBool = AtomicBool::new(false);
 
+/// Whether this process was asked to stop by a signal.
+static SIGNALLED: AtomicBool = AtomicBool::new(false);
+
+/// Exit code of an interrupted run: `EX_TEMPFAIL` of `sysexits.h`. Schedulers of clusters can be told to start a task that ends with it
+/// again, and the same command continues the run.
+pub const TRY_AGAIN: u8 = 75;
+
+/// Whether this process was interrupted by a signal.
+pub fn was_interrupted() -> bool {
+    SIGNALLED.load(Ordering::SeqCst)
+}
+
 /// Whether the user asked to stop.
 #[derive(Debug, Clone, Default)]
 pub struct Interrupt(Arc<Asked>);
@@ -54,6 +66,7 @@ impl Interrupt {
         let listener = interrupt.clone();
         // If no handler can be set, Ctrl-C ends the process at once, and the next run removes the unfinished artifact.
         let _ = ctrlc::set_handler(move || {
+            SIGNALLED.store(true, Ordering::SeqCst);
             if !listener.0.requested.swap(true, Ordering::SeqCst) {
                 let watchdog = listener.clone();
                 std::thread::spawn(move || {
@@ -85,8 +98,8 @@ impl Interrupt {
             std::thread::sleep(GONE);
         }
         let store = self.store().clone();
-        // The lock is held until the process has ended, so that nothing more is published.
-        let _locked = store.as_ref().map(Store::abandon);
+        // Kept until the process has ended, so that nothing more is published.
+        let _publication = store.as_ref().map(Store::abandon);
         if let Some(report) = self.0.report.get() {
             report(interrupted("the run"));
         }
@@ -94,7 +107,7 @@ impl Interrupt {
             clippy::exit,
             reason = "the stage does not respond, and its threads may be in foreign code that cannot be interrupted"
         )]
-        std::process::exit(2);
+        std::process::exit(TRY_AGAIN.into());
     }
 
     /// Requests a stop, as Ctrl-C does.

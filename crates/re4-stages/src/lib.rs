@@ -21,7 +21,7 @@ pub mod testing;
 
 pub use doctor::{Finding, State, doctor};
 pub use inputs::sources::data_folders;
-pub use interrupt::{Interrupt, answer};
+pub use interrupt::{Interrupt, TRY_AGAIN, answer, was_interrupted};
 pub use notes::{Notes, fault_of, print_error};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,

@@ -145,12 +145,12 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 /// Returns the names in the folder of the artifacts of the sample's stage, sorted.
 pub fn artifact_names(root: &Path) -> Vec<String> {
-    let Ok(listing) = fs::read_dir(root.join(Stage::Segment.artifact())) else {
-        return Vec::new();
-    };
-    let mut names: Vec<String> = listing
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
+    let mut names = Vec::new();
+    for folder in [Stage::Segment.artifact(), ".unfinished"] {
+        if let Ok(listing) = fs::read_dir(root.join(folder)) {
+            names.extend(listing.map(|entry| entry.unwrap().file_name().into_string().unwrap()));
+        }
+    }
     names.sort();
     names
 }

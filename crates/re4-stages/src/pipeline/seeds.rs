@@ -16,12 +16,13 @@ const MAX_SEEDS: usize = 10_000_000;
 /// Distinct seeds, in the order in which they are written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Seeds {
+    /// The shortest way to write them. Equal seeds have equal texts, and so equal keys of their rollouts.
     text: String,
     seeds: Vec<u32>,
 }
 
 impl Seeds {
-    /// The seeds as they were written.
+    /// The seeds in their shortest form: `500..600`, or ranges and single seeds joined by commas.
     pub fn text(&self) -> &str {
         &self.text
     }
@@ -77,10 +78,23 @@ impl Seeds {
             bail!("seeds {text:?}: seed {seed} occurs twice"; "name each seed once");
         }
         Ok(Self {
-            text: text.to_owned(),
+            text: shortest(&seeds),
             seeds,
         })
     }
+}
+
+/// The shortest way to write seeds in this order: every run of consecutive seeds is a range.
+fn shortest(seeds: &[u32]) -> String {
+    let runs = seeds.chunk_by(|&one, &next| one.checked_add(1) == Some(next));
+    let parts = runs.filter_map(|run| match run {
+        [] => None,
+        &[seed] => Some(seed.to_string()),
+        // The end of a range is exclusive, so a range cannot contain the last number.
+        &[first, .., u32::MAX] => Some(format!("{first}..{},{}", u32::MAX, u32::MAX)),
+        &[first, .., last] => Some(format!("{first}..{}", last + 1)),
+    });
+    parts.collect::<Vec<_>>().join(",")
 }
 
 impl Serialize for Seeds {
@@ -127,6 +141,40 @@ mod tests {
         assert_eq!("7, 1..3".parse::<Seeds>().unwrap().as_slice(), &[7, 1, 2]);
         for bad in ["", "a", "3..3", "5..2", "1,1", "-1", "1..3,2", "1.5"] {
             assert!(bad.parse::<Seeds>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn equal_seeds_have_equal_texts() {
+        let text = |text: &str| text.parse::<Seeds>().unwrap().text().to_owned();
+        for same in ["500..524", "500..510, 510..524", "500,501..524", " 500 .. 524 "] {
+            assert_eq!(text(same), "500..524");
+        }
+        assert_eq!(text("3,2,1"), "3,2,1");
+        assert_eq!(text("7,8,9,1"), "7..10,1");
+        assert_eq!(text("4294967295"), "4294967295");
+        let last = "4294967293..4294967295,4294967295";
+        assert_eq!(text(last), last);
+    }
+
+    #[test]
+    fn the_text_names_the_same_seeds() {
+        // All orders of all sets of up to four of these seeds.
+        let all = [0_u32, 1, 2, 4, 5, u32::MAX - 1, u32::MAX];
+        let mut lists = vec![Vec::new()];
+        for _ in 0..4 {
+            let longer = lists.iter().flat_map(|list: &Vec<u32>| {
+                let next = all.iter().filter(|seed| !list.contains(seed));
+                next.map(|&seed| [list.as_slice(), &[seed]].concat())
+                    .collect::<Vec<_>>()
+            });
+            lists = longer.collect();
+            for seeds in &lists {
+                let written = seeds.iter().map(ToString::to_string).collect::<Vec<_>>().join(",");
+                let parsed: Seeds = written.parse().unwrap();
+                assert_eq!(parsed.as_slice(), seeds);
+                assert_eq!(parsed.text().parse::<Seeds>().unwrap(), parsed);
+            }
         }
     }
 

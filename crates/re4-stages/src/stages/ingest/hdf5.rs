@@ -194,8 +194,8 @@ pub fn serve_ingest() -> Result<()> {
         let _ = std::io::copy(&mut input, &mut std::io::sink());
         stop.request();
         std::thread::sleep(GRACE);
-        // The lock is held until the process has ended, so that nothing more is published.
-        let _locked = store.abandon();
+        // Kept until the process has ended, so that nothing more is published.
+        let _publication = store.abandon();
         #[allow(clippy::exit, reason = "the parent has ended, and the thread may be stuck in C code")]
         std::process::exit(2);
     });
