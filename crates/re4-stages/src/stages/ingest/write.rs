@@ -170,7 +170,7 @@ impl Ingest<'_> {
                 Images::Rendered(rendering, _) => json!(rendering.cameras()),
             },
         );
-        for key in ["actions", "conventions"] {
+        for key in ["actions", "conventions", "image_coding"] {
             if let Some(value) = info.details.get(key) {
                 set(key, value.clone());
             }
