@@ -325,9 +325,9 @@ impl Reading {
             bad.extend(self.contradictions(&judged, contradiction));
             conventions.push(Convention {
                 convention: "object_pose".into(),
-                value: format!("rigid fit of the block's eight corners, {}", layout.name()).into(),
+                value: layout.name().into(),
                 basis: "proven".into(),
-                evidence: format!("largest distance between the corners in column {name} and those of the fitted block; runner_up is the other order of the values"),
+                evidence: format!("largest distance between the corners in column {name} and those of the block that fits best; the next best is another order of the values"),
                 residual: Some(judged.worst),
                 runner_up: self.evidence.iter().map(|evidence| evidence.residuals[1 - own]).reduce(f64::max),
                 threshold: Some(MAX_RESIDUAL),
@@ -368,9 +368,9 @@ impl Reading {
             bad.extend(self.contradictions(judged, contradiction));
             conventions.push(Convention {
                 convention: "reward".into(),
-                value: format!("coverage of the goal in the {}, divided by 0.95, at most 1", of.name()).into(),
+                value: of.name().into(),
                 basis: "proven".into(),
-                evidence: format!("largest difference between column {name} and the coverage by the poses of the block; runner_up is the other frame"),
+                evidence: format!("largest difference between column {name} and the coverage of the goal by the block's poses, divided by 0.95 and at most 1; the next best is another frame"),
                 residual: Some(judged.worst),
                 runner_up: Some(other.largest),
                 threshold: Some(MAX_DIFFERENCE),

@@ -26,8 +26,8 @@ impl Layout {
     /// Its name in the table of conventions.
     pub(super) fn name(self) -> &'static str {
         match self {
-            Self::Pairs => "x and y in turn",
-            Self::Halves => "all x, then all y",
+            Self::Pairs => "corners_xy",
+            Self::Halves => "corners_x_then_y",
         }
     }
 

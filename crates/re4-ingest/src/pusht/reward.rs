@@ -21,8 +21,8 @@ impl Of {
     /// Its name in the table of conventions.
     pub(super) fn name(self) -> &'static str {
         match self {
-            Self::Next => "next frame",
-            Self::Same => "same frame",
+            Self::Next => "coverage_next_frame",
+            Self::Same => "coverage_same_frame",
         }
     }
 }
