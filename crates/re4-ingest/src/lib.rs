@@ -30,8 +30,8 @@ pub use left_out::{OnBad, refusal};
 pub use name::{Pick, SourceName};
 use re4_artifact::episodes as tables;
 pub use re4_artifact::episodes::{
-    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, LeftOutFrameRow, ModelRow, PlanarColumns,
-    SpatialColumns, StateRow,
+    ArmColumns, Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, LeftOutFrameRow, ModelRow,
+    PlanarColumns, SignalRole, SignalRow, SignalVector, SpatialColumns, StateRow,
 };
 pub use selection::{EpisodeRange, Selection, SelectionError};
 pub use source::{SourceFile, Stop};
