@@ -25,16 +25,60 @@ pub struct LerobotKeys {
     /// there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keypoints: Option<String>,
-    /// Push-T: the coverage of the goal in the next frame, divided by 0.95 and at most 1. It is a check of the block's poses. Default:
-    /// `next.reward`, if it is there.
+    /// Reward of a step. Push-T: the coverage of the goal in the next frame, divided by 0.95 and at most 1, which is a check of the
+    /// block's poses. Default: `next.reward`, if it is there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reward: Option<String>,
+    /// Task `arm`: elements of the state that measure the opening of the gripper: one, or the positions of two fingers. Default:
+    /// those with a word such as `gripper`, `finger` or `claw` in their names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper: Option<Vec<String>>,
+    /// Task `arm`: the element of the action that commands the gripper. Default: the only one with such a word in its name; without
+    /// names, the last one of an action of the end effector (4 or 7 elements).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper_command: Option<String>,
+    /// Task `arm`: the arm to read of a dataset with two, by the first word of the names of its elements, such as `left`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arm: Option<String>,
 }
 
 impl LerobotKeys {
     /// Whether no setting is given.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// Refuses settings that do not apply to the task.
+    pub(crate) fn check(&self, planar: bool) -> Result<(), Fault> {
+        let foreign = if planar {
+            [
+                ("gripper", self.gripper.is_some()),
+                ("gripper_command", self.gripper_command.is_some()),
+                ("arm", self.arm.is_some()),
+            ]
+        } else {
+            [
+                ("keypoints", self.keypoints.is_some()),
+                ("image", self.image.is_some()),
+                ("", false),
+            ]
+        };
+        match foreign.iter().find(|(_, there)| *there) {
+            None => Ok(()),
+            Some((key, _)) if planar => Err(Fault::Lerobot(format!(
+                "ingest.lerobot.{key} applies only to the task \"arm\"; remove it"
+            ))),
+            Some((key, _)) => {
+                let cameras = if *key == "image" {
+                    ", and name cameras in ingest.cameras"
+                } else {
+                    ""
+                };
+                Err(Fault::Lerobot(format!(
+                    "ingest.lerobot.{key} applies only to Push-T; remove it{cameras}"
+                )))
+            }
+        }
     }
 }
 

@@ -145,6 +145,18 @@ impl LerobotDataset {
         })
     }
 
+    /// Reads the numbers of episodes, in order, and passes them or the reason why they cannot be read to `take`.
+    pub(super) fn read<E: From<IngestError>>(
+        &self,
+        episodes: &[usize],
+        mut take: impl FnMut(Result<re4_lerobot::Frames, String>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let read = self.dataset.read(episodes.iter().copied(), &|| false, |_, frames| {
+            take(frames.map_err(|faults| sentence(&faults))).map_err(Halt::Taken)
+        });
+        read.map_err(Halt::into_error)
+    }
+
     /// Reads the images of a camera; see [`crate::DemoSource::images`].
     pub(super) fn images<E: From<IngestError>>(
         &self,
@@ -190,10 +202,7 @@ impl LerobotDataset {
                 };
                 take(block).map_err(Halt::Taken)
             });
-        read.map_err(|halt| match halt {
-            Halt::Dataset(error) => error_of(error).into(),
-            Halt::Taken(error) => error,
-        })
+        read.map_err(Halt::into_error)
     }
 
     /// Warnings about statements that are wrong but not used.
@@ -216,6 +225,15 @@ fn described(name: &str, coding: Coding) -> Value {
 enum Halt<E> {
     Dataset(LerobotError),
     Taken(E),
+}
+
+impl<E: From<IngestError>> Halt<E> {
+    fn into_error(self) -> E {
+        match self {
+            Self::Dataset(error) => error_of(error).into(),
+            Self::Taken(error) => error,
+        }
+    }
 }
 
 impl<E> From<LerobotError> for Halt<E> {

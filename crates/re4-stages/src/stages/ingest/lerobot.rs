@@ -6,22 +6,29 @@ use std::time::Instant;
 
 use anyhow::Result;
 use re4_artifact::{Key, Store};
-use re4_ingest::lerobot::{LerobotFiles, LerobotSource, PushtChoice};
+use re4_fault::ensure;
+use re4_ingest::lerobot::{LerobotChoice, LerobotFiles, LerobotSource};
 use re4_ingest::pusht::PushtOptions;
 use re4_ingest::{DemoSource as _, Fault, IngestError};
+use re4_task::Domain;
 use serde_json::{Value, json};
 
 use super::STAGE;
 use super::worker::{self, Format, Message, Request};
 use super::write::{Images, Ingest};
 use crate::interrupt::Interrupt;
-use crate::pipeline::IngestSection;
+use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
 impl Runner {
     /// Makes the `episodes` artifact of a LeRobot dataset, or returns the existing one.
     pub(super) fn ingest_lerobot(&self, source: PathBuf) -> Result<Built> {
         let start = Instant::now();
+        ensure!(
+            self.pipeline.task.domain() != Domain::Space,
+            "cannot ingest {}: a LeRobot dataset of a robosuite task does not have the pose of the object", source.display();
+            "set task to \"arm\" to audit and segment it without an object, or give the HDF5 file with the demonstrations"
+        );
         let mut request = Request {
             hash: None,
             format: Format::Lerobot(None),
@@ -44,8 +51,12 @@ impl Runner {
     }
 }
 
-fn choice(section: &IngestSection) -> PushtChoice<'_> {
-    PushtChoice {
+/// What the pipeline reads of a dataset.
+fn choice(pipeline: &Pipeline) -> LerobotChoice<'_> {
+    let section = &pipeline.ingest;
+    LerobotChoice {
+        planar: pipeline.task.is_planar(),
+        cameras: section.cameras.as_deref(),
         keys: &section.lerobot,
         split: section.filter.as_deref(),
         select: &section.select,
@@ -62,7 +73,7 @@ pub(super) fn serve(request: &Request, files: Option<&LerobotFiles>, interrupt: 
         Fault::Stopped => interrupt.check(STAGE).err().unwrap_or_else(|| error.into()),
         _ => error.into(),
     };
-    let choice = choice(section);
+    let choice = choice(&request.pipeline);
     let Some(files) = files else {
         let opened = choice.open(&request.source, &stop).map_err(or_interrupted)?;
         let (files, hash) = opened.hash(&request.source, &stop).map_err(or_interrupted)?;
@@ -74,7 +85,7 @@ pub(super) fn serve(request: &Request, files: Option<&LerobotFiles>, interrupt: 
         images: choice.images,
         stop: &stop,
     };
-    let source = LerobotSource::pusht(&request.source, files.clone(), &choice, &options).map_err(or_interrupted)?;
+    let source = LerobotSource::read(&request.source, files.clone(), &choice, &options).map_err(or_interrupted)?;
     let recipe = request.recipe(json!(source.info()))?;
     let ingest = Ingest {
         section,
