@@ -7,18 +7,21 @@
 //! end effector is the grip site, and a gripper command above 0 closes. Ingest converts datasets with other conventions. It keeps
 //! recorded values of another frame or with another sign in columns `raw_*`, which are null if the conventions agree: all
 //! artifacts have the same columns, and a column of nulls needs no space.
+//!
+//! Tables of an arm without an object (task `arm`): vectors are recorded numbers in recorded units, named element by element in table
+//! `signals`. Poses of the end effector are in the frame in which they were recorded, usually that of the robot's base.
 
 #![allow(
     clippy::doc_markdown,
     reason = "documentation of rows and fields is the plain text of descriptions in files"
 )]
 
-use nalgebra::{Isometry3, UnitQuaternion};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use re4_episode::SpatialFrame;
 use re4_geometry::{Point2, Pose2};
 use serde::{Deserialize, Serialize};
 
-use crate::{Label, SixAxis, columns, table};
+use crate::{Label, SixAxis, Word, columns, table};
 
 /// Number of keypoints of Push-T's block.
 pub const KEYPOINTS: usize = 9;
@@ -137,6 +140,114 @@ columns! {
         /// else null.
         #[since = 2]
         pub raw_gripper: Option<f64>,
+    }
+}
+
+columns! {
+    /// A frame of a demonstration of one arm, without an object. The vectors are those of the recording; table signals names their
+    /// elements. The other columns are derived from elements of the vectors or from further recorded arrays, so that no reader has to
+    /// know the robot.
+    #[domain = "arm"]
+    pub struct ArmColumns {
+        /// Time of the frame since the start of the demonstration, as it was recorded; null if times were not recorded.
+        #[unit = "s"]
+        pub time: Option<f64>,
+        /// Recorded state, with as many elements in every frame as table signals has rows of vector state.
+        pub state: Vec<f64>,
+        /// Recorded action, with as many elements in every frame as table signals has rows of vector action.
+        pub action: Vec<f64>,
+        /// Position of the end effector; null if the dataset has none.
+        #[frame = "recorded"]
+        pub eef: Option<Vector3<f64>>,
+        /// Orientation of the end effector, converted to a quaternion; null if the dataset has none.
+        #[frame = "recorded"]
+        pub eef_orientation: Option<UnitQuaternion<f64>>,
+        /// Measured opening of the gripper, in the recorded unit and with the recorded sign: the distance between two fingers if both were
+        /// recorded, else the recorded number. Null if the dataset has none.
+        pub opening: Option<f64>,
+        /// Gripper command, as it was recorded; null if the actions have none.
+        pub gripper: Option<f64>,
+        /// Reward of the step; null if it was not recorded.
+        pub reward: Option<f64>,
+        /// Whether the step was recorded as the last one or as a success; null if it was not recorded.
+        pub done: Option<bool>,
+    }
+}
+
+/// A vector of a frame of [`ArmColumns`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum SignalVector {
+    /// The recorded state.
+    State,
+    /// The recorded action.
+    Action,
+}
+
+impl Word for SignalVector {
+    const ALL: &'static [Self] = &[Self::State, Self::Action];
+
+    fn word(self) -> &'static str {
+        match self {
+            Self::State => "state",
+            Self::Action => "action",
+        }
+    }
+}
+
+/// What an element of a recorded vector measures or commands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum SignalRole {
+    /// A joint of the arm.
+    Joint,
+    /// A coordinate of the end effector's position, or of its displacement.
+    EefPosition,
+    /// A number of the end effector's orientation, or of its rotation.
+    EefOrientation,
+    /// The gripper: its opening, a finger, or its command.
+    Gripper,
+    /// Anything else.
+    Other,
+}
+
+impl Word for SignalRole {
+    const ALL: &'static [Self] = &[
+        Self::Joint,
+        Self::EefPosition,
+        Self::EefOrientation,
+        Self::Gripper,
+        Self::Other,
+    ];
+
+    fn word(self) -> &'static str {
+        match self {
+            Self::Joint => "joint",
+            Self::EefPosition => "eef_position",
+            Self::EefOrientation => "eef_orientation",
+            Self::Gripper => "gripper",
+            Self::Other => "other",
+        }
+    }
+}
+
+table! {
+    /// One row per element of the vectors state and action of table frames. Sorted by vector (state before action) and index.
+    #[table("signals", version = 1)]
+    #[domain = "arm"]
+    pub struct SignalRow {
+        /// Vector of table frames: state or action.
+        pub vector: SignalVector,
+        /// Index of the element in its vector, from 0.
+        pub index: u32,
+        /// Name of the element in the source. Elements of an array without names have the name of the array and their index, such as
+        /// robot0_eef_pos_2.
+        pub name: String,
+        /// What the element measures or commands: joint, eef_position, eef_orientation, gripper or other.
+        pub role: SignalRole,
+        /// Unit of the element; null if it is not known.
+        pub unit: Option<Label>,
+        /// Where the role comes from: name (of the element or of its array), setting (of the pipeline file) or proof (of the
+        /// numbers).
+        pub basis: Label,
     }
 }
 

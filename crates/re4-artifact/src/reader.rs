@@ -89,9 +89,9 @@ impl Artifact {
 
     /// The table under the name that it had in older versions.
     fn under_former_name(&self, spec: &'static TableSpec) -> Option<&TableSummary> {
-        // A row type that both domains use declares the former name of the table of SE(3), such as `spatial_frames`. The planar
-        // table always had its present name.
-        let unchanged = spec.domain == "plane" && spec.formerly.starts_with("spatial_");
+        // A row type that several domains use declares the former name of the table of SE(3), such as `spatial_frames`. The tables of
+        // the others always had their present names.
+        let unchanged = matches!(spec.domain, "plane" | "arm") && spec.formerly.starts_with("spatial_");
         let summary = self.manifest.tables.get(spec.formerly).filter(|_| !unchanged)?;
         (summary.schema_version < spec.version).then_some(summary)
     }

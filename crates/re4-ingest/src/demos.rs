@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 
 use crate::error::IngestError;
 use crate::left_out::refusal;
-use crate::tables::{LeftOut, PlanarColumns, SpatialColumns};
+use crate::tables::{ArmColumns, LeftOut, PlanarColumns, SignalRow, SpatialColumns};
 use crate::warning::{Warning, WarningCode};
 
 /// An opened dataset of one format. The requested demonstrations have been resolved and found readable.
@@ -22,6 +22,12 @@ pub trait DemoSource: Sync {
 
     /// Describes the contents of the dataset.
     fn info(&self) -> &Info;
+
+    /// The elements of the recorded vectors, for sources that yield [`Frames::Arm`]: first those of the state, then those of the
+    /// action, each in the order of the vector.
+    fn signals(&self) -> &[SignalRow] {
+        &[]
+    }
 
     /// The requested demonstrations, in order.
     fn demos(&self) -> &[DemoName];
@@ -135,13 +141,16 @@ pub struct Episode {
     pub contradiction: Option<String>,
 }
 
-/// The frames of a demonstration, of a planar or a spatial task.
+/// The frames of a demonstration.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Frames {
     /// Of a planar task, in SE(2).
     Planar(Vec<PlanarColumns>),
     /// Of a spatial task, in SE(3).
     Spatial(Vec<SpatialColumns>),
+    /// Of an arm without an object, with the vectors as they were recorded. All frames of a dataset have vectors of the same
+    /// lengths.
+    Arm(Vec<ArmColumns>),
 }
 
 impl Frames {
@@ -150,6 +159,7 @@ impl Frames {
         match self {
             Self::Planar(frames) => frames.len(),
             Self::Spatial(frames) => frames.len(),
+            Self::Arm(frames) => frames.len(),
         }
     }
 }

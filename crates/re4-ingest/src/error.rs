@@ -293,10 +293,10 @@ pub enum Fault {
     },
     /// A value is NaN or infinite.
     #[error(
-        "array {array} has {value} at frame {frame} (episode {episode}), column {column} ({name}); remove or repair that frame, or leave that episode out"
+        "{array} has {value} at frame {frame} (episode {episode}), column {column} ({name}); remove or repair that frame, or leave that episode out"
     )]
     NotFinite {
-        /// Array within the store.
+        /// Where it is, such as "array data/state".
         array: String,
         /// Frame.
         frame: u64,
@@ -311,10 +311,10 @@ pub enum Fault {
     },
     /// A value is outside the range of Push-T recordings.
     #[error(
-        "array {array} has {value} at frame {frame} (episode {episode}), column {column} ({name}), outside {low} to {high} {unit}; repair that frame, convert its units, or leave that episode out"
+        "{array} has {value} at frame {frame} (episode {episode}), column {column} ({name}), outside {low} to {high} {unit}; repair that frame, convert its units, or leave that episode out"
     )]
     OutOfRange {
-        /// Array within the store.
+        /// Where it is, such as "array data/state".
         array: String,
         /// Frame.
         frame: u64,
@@ -434,6 +434,9 @@ pub enum Fault {
     /// An HDF5 file cannot be used.
     #[error(transparent)]
     Hdf5(#[from] Hdf5Fault),
+    /// A LeRobot dataset, or an episode of it, cannot be used: one sentence with the remedy.
+    #[error("{0}")]
+    Lerobot(String),
 }
 
 impl IngestError {

@@ -4,6 +4,7 @@
 //! describes its contents, and yields demonstrations one after the other. A fault of a single demonstration is a value
 //! ([`LeftOut`]), not an error. [`pusht`] reads and writes the Push-T replay dataset, a Zarr store of format 2 or 3 in a folder
 //! or a `.zip` file. [`robomimic`] reads demonstrations of robosuite's tasks from HDF5 files.
+//! [`lerobot`] reads LeRobot datasets.
 //!
 //! A reader checks everything that it returns. An [`IngestError`] rejects a dataset and names the array and the index; a
 //! [`Warning`] reports something unusual and is returned with the data.
@@ -13,6 +14,7 @@ mod compression;
 mod demos;
 mod error;
 mod left_out;
+pub mod lerobot;
 mod name;
 pub mod pusht;
 pub mod robomimic;
@@ -28,8 +30,8 @@ pub use left_out::{OnBad, refusal};
 pub use name::{Pick, SourceName};
 use re4_artifact::episodes as tables;
 pub use re4_artifact::episodes::{
-    Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, LeftOutFrameRow, ModelRow, PlanarColumns,
-    SpatialColumns, StateRow,
+    ArmColumns, Convention, DemoRow, EpisodeRow, FrameRow, ImageRow, KEYPOINTS, LeftOut, LeftOutFrameRow, ModelRow,
+    PlanarColumns, SignalRole, SignalRow, SignalVector, SpatialColumns, StateRow,
 };
 pub use selection::{EpisodeRange, Selection, SelectionError};
 pub use source::{SourceFile, Stop};

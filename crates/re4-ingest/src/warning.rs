@@ -49,6 +49,10 @@ pub enum WarningCode {
     AbsentChunks,
     /// Columns of an array that are not ingested.
     SkippedColumns,
+    /// Statements of metadata that the files contradict, and that are not used.
+    Metadata,
+    /// The poses of the object are unknown.
+    NoObjectPoses,
 }
 
 /// The code as it is written in tables and messages.

@@ -65,6 +65,22 @@ impl Dataset {
         path.join(INFO).is_file()
     }
 
+    /// Reads only `meta/info.json`.
+    ///
+    /// # Errors
+    /// It is not a LeRobot dataset, or the file has faults.
+    pub fn info_of(path: &Path) -> Result<Info, LerobotError> {
+        let read = || {
+            let map = meta::object(path, INFO)?;
+            let version = version(path, info::stated_major(&map)?)?;
+            info::parse(&map, version)
+        };
+        read().map_err(|faults: Faults| LerobotError {
+            dataset: path.to_owned(),
+            faults,
+        })
+    }
+
     /// Opens a dataset and checks its metadata, the columns and row counts of its tables, and the frame counts and times of the videos
     /// of the cameras.
     ///
@@ -134,6 +150,11 @@ impl Dataset {
             dataset.identities.push((name, identity));
         }
         Ok(dataset)
+    }
+
+    /// Its folder.
+    pub fn root(&self) -> &Path {
+        &self.root
     }
 
     /// The contents of `meta/info.json`.

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::dataset::Dataset;
 use crate::fault::LerobotError;
 use crate::info::{Content, Version};
-use crate::video::Codec;
+use crate::video::{Codec, Color};
 
 /// A camera of a dataset.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -18,6 +18,35 @@ pub struct CameraSummary {
     pub height: usize,
     /// How its images are stored.
     pub stored: String,
+}
+
+/// How the images of a camera are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coding {
+    /// PNG images, without loss.
+    Png,
+    /// Videos, with loss.
+    Video {
+        /// The codec.
+        codec: Codec,
+        /// How decoded frames are converted to RGB.
+        color: Color,
+    },
+}
+
+impl Coding {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Png => "PNG",
+            Self::Video { codec, .. } => codec.name(),
+        }
+    }
+
+    /// Whether images differ from those that were recorded.
+    pub fn is_lossy(self) -> bool {
+        self != Self::Png
+    }
 }
 
 /// What a dataset is.
@@ -93,6 +122,24 @@ impl Dataset {
         })
     }
 
+    /// How the images of a camera are stored in an episode. Decodes the first frame of a video.
+    ///
+    /// # Errors
+    /// There is no such image, or it cannot be decoded.
+    pub fn coding(&self, camera: &str, episode: usize) -> Result<Coding, LerobotError> {
+        match self.info().feature(camera).map(|feature| feature.content) {
+            Some(Content::Video) => {
+                let (video, first) = self.video(camera, episode)?;
+                let planes = video.frame(first).map_err(|fault| self.error(fault))?;
+                Ok(Coding::Video {
+                    codec: video.codec(),
+                    color: planes.color,
+                })
+            }
+            _ => Ok(Coding::Png),
+        }
+    }
+
     fn camera(&self, name: &str) -> Result<CameraSummary, LerobotError> {
         let image = if self.episodes().is_empty() {
             None
@@ -102,10 +149,7 @@ impl Dataset {
         let stored = match self.info().feature(name).map(|feature| feature.content) {
             Some(Content::Video) if image.is_some() => {
                 let (video, _) = self.video(name, 0)?;
-                let codec = match video.codec() {
-                    Codec::Av1 => "AV1",
-                    Codec::H264 => "H.264",
-                };
+                let codec = video.codec().name();
                 format!(
                     "{codec} video, {} of {} frames of the first file are key frames",
                     video.key_frames(),

@@ -33,5 +33,5 @@ pub use fault::{Fault, Faults, Kind, LerobotError};
 pub use frames::Frames;
 pub use images::ImageBlock;
 pub use info::{Content, Feature, Info, Version};
-pub use inspect::{CameraSummary, Summary};
+pub use inspect::{CameraSummary, Coding, Summary};
 pub use video::{Chroma, Codec, Color, Matrix, Planes, Stop, Video};

@@ -360,6 +360,7 @@ pub fn tables_reference() -> String {
             "" => String::new(),
             "plane" => ", Push-T".to_owned(),
             "space" => ", robosuite".to_owned(),
+            "arm" => ", arm".to_owned(),
             other => format!(", {other}"),
         };
         text += &format!(

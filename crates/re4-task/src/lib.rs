@@ -14,5 +14,5 @@ mod spec;
 
 pub use camera::Camera;
 pub use layout::ObjectLayout;
-pub use names::{RobosuiteTask, Task};
+pub use names::{Domain, RobosuiteTask, Task};
 pub use spec::{Extent, ObjectRule, Positions, Solid, TaskSpec};

@@ -9,7 +9,7 @@ use re4_geometry::spatial::Symmetry;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 
-use crate::records::{PUSHT, RECORDS, ROBOSUITE};
+use crate::records::{ARM, PUSHT, RECORDS, ROBOSUITE};
 use crate::{Camera, TaskSpec};
 
 /// A robosuite task that has a record.
@@ -126,13 +126,28 @@ pub enum Task {
     Known(RobosuiteTask),
     /// Any other robosuite environment with one arm and a two-finger gripper. It is not simulated.
     Robosuite,
+    /// Any arm with a gripper, without an object. It is not simulated.
+    Arm,
+}
+
+/// What the demonstrations of a task consist of; each has its own tables.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Domain {
+    /// A point and an object in a plane: Push-T.
+    Plane,
+    /// A gripper and an object in SE(3): robosuite's tasks.
+    Space,
+    /// An arm with a gripper, without an object.
+    Arm,
 }
 
 impl Task {
     /// Returns all tasks, in the order in which they are listed.
     pub fn all() -> impl Iterator<Item = Self> {
         let known = RobosuiteTask::all().map(Self::Known);
-        std::iter::once(Self::PushT).chain(known).chain([Self::Robosuite])
+        std::iter::once(Self::PushT)
+            .chain(known)
+            .chain([Self::Robosuite, Self::Arm])
     }
 
     fn summary(self) -> Summary {
@@ -146,6 +161,17 @@ impl Task {
                 control_rate: task.control_rate,
             },
             Self::Robosuite => ROBOSUITE,
+            Self::Arm => ARM,
+        }
+    }
+
+    /// What the demonstrations consist of.
+    #[must_use]
+    pub fn domain(self) -> Domain {
+        match self {
+            Self::PushT => Domain::Plane,
+            Self::Known(_) | Self::Robosuite => Domain::Space,
+            Self::Arm => Domain::Arm,
         }
     }
 
@@ -176,7 +202,7 @@ impl Task {
     /// Whether the task is planar.
     #[must_use]
     pub fn is_planar(self) -> bool {
-        self == Self::PushT
+        self.domain() == Domain::Plane
     }
 
     /// Returns the robosuite task if it has a record and can therefore be simulated.
@@ -184,7 +210,7 @@ impl Task {
     pub fn robosuite(self) -> Option<RobosuiteTask> {
         match self {
             Self::Known(task) => Some(task),
-            Self::PushT | Self::Robosuite => None,
+            Self::PushT | Self::Robosuite | Self::Arm => None,
         }
     }
 

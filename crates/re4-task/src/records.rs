@@ -30,6 +30,15 @@ pub(crate) const ROBOSUITE: Summary = Summary {
     control_rate: ARM_RATE,
 };
 
+/// Any arm, without an object and without a simulation.
+pub(crate) const ARM: Summary = Summary {
+    name: "arm",
+    environment: "arm",
+    about: "Any dataset of one arm with a gripper, without the pose of an object: it can be audited and segmented, but neither indexed nor simulated.",
+    cameras: &[],
+    control_rate: ARM_RATE,
+};
+
 const ARM_CAMERAS: &[Camera] = &[Camera::Agentview, Camera::EyeInHand];
 /// Control steps per second in robosuite's and robomimic's demonstrations.
 const ARM_RATE: usize = 20;

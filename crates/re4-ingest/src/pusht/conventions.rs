@@ -172,7 +172,8 @@ impl PushtConventions {
     pub(super) fn convert(&self, episodes: &mut PushtEpisodes) -> usize {
         let mut wrapped = 0;
         for (state, action) in episodes.state.iter_mut().zip(&mut episodes.action) {
-            for value in &mut state[..4] {
+            let coordinates = if episodes.recorded.block { 4 } else { 2 };
+            for value in &mut state[..coordinates] {
                 *value = pixels(*value, self.window);
             }
             let degrees = self.angle == Some(AngleUnit::Degrees);
@@ -222,11 +223,13 @@ impl PushtConventions {
         good: &[bool],
         judgement: &mut Judgement,
     ) -> Option<[f64; 2]> {
-        let [low, high] = middle(frames.iter().flat_map(|state| state[..4].iter().copied()));
+        let block = episodes.recorded.block;
+        let coordinates = if block { 4 } else { 2 };
+        let [low, high] = middle(frames.iter().flat_map(|state| state[..coordinates].iter().copied()));
         let inside = |value: f64| (POSITION_LOW..=POSITION_HIGH).contains(&pixels(value, self.window));
         let outside = frames
             .iter()
-            .filter(|state| !state[..4].iter().copied().all(inside))
+            .filter(|state| !state[..coordinates].iter().copied().all(inside))
             .count();
         let is_small = |frames: &std::ops::Range<usize>| {
             let block = episodes.state[frames.clone()].iter().flat_map(|state| &state[2..4]);
@@ -236,7 +239,7 @@ impl PushtConventions {
                 < BLOCK_LOW
         };
         let small: Vec<usize> = (0..good.len())
-            .filter(|&number| good[number] && is_small(&episodes.frames[number]))
+            .filter(|&number| block && good[number] && is_small(&episodes.frames[number]))
             .collect();
         let enough = frames.len() >= MIN_FRAMES;
         let far = outside as f64 > MAX_UNUSUAL * frames.len() as f64;
@@ -337,7 +340,7 @@ pub(super) struct Judgement {
     pub(super) small: Vec<usize>,
 }
 
-fn pixels(value: f64, window: Option<[f64; 2]>) -> f64 {
+pub(super) fn pixels(value: f64, window: Option<[f64; 2]>) -> f64 {
     match window {
         // Returned unchanged, without a rounding error.
         None => value,

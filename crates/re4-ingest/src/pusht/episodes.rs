@@ -1,5 +1,6 @@
 //! The numeric columns of the selected episodes.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use re4_episode::{PlanarEpisode, PlanarFrame};
@@ -24,6 +25,50 @@ pub struct PushtEpisodes {
     pub contacts: Option<Vec<f64>>,
     /// Keypoints of the block in window coordinates, `x, y` each (pixels), if recorded.
     pub keypoint: Option<Vec<[[f64; 2]; KEYPOINTS]>>,
+    /// How the dataset records them.
+    pub recorded: Recorded,
+}
+
+/// How a dataset records its numbers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Recorded {
+    /// What its numbers are stored in: "array" of a zarr store, or "column".
+    pub kind: &'static str,
+    /// Where the states are.
+    pub state: Cow<'static, str>,
+    /// Where the actions are.
+    pub action: Cow<'static, str>,
+    /// Whether the pose of the block is known. If not, `state` has Push-T's goal pose in its place.
+    pub block: bool,
+}
+
+impl Default for Recorded {
+    /// A zarr store.
+    fn default() -> Self {
+        Self {
+            kind: "array",
+            state: Cow::Borrowed("data/state"),
+            action: Cow::Borrowed("data/action"),
+            block: true,
+        }
+    }
+}
+
+impl Recorded {
+    /// Whether it is a zarr store.
+    pub(crate) fn is_zarr(&self) -> bool {
+        self.kind == "array"
+    }
+
+    /// Where the states are, in words.
+    pub(super) fn states(&self) -> String {
+        format!("{} {}", self.kind, self.state)
+    }
+
+    /// Where the actions are, in words.
+    pub(super) fn actions(&self) -> String {
+        format!("{} {}", self.kind, self.action)
+    }
 }
 
 impl PushtEpisodes {

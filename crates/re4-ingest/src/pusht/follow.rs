@@ -98,7 +98,14 @@ pub(super) fn judge(
     };
     let (explained, [reach, _]) = explain(&all, unexplained, |step| [step.target - step.agent, step.before]);
     following.explained = Some(explained);
-    following.fault = fault(conventions, &all, unexplained, explained, reach);
+    following.fault = fault(
+        conventions,
+        &episodes.recorded.action,
+        &all,
+        unexplained,
+        explained,
+        reach,
+    );
     if following.fault.is_none() {
         following.outliers = each
             .iter()
@@ -265,6 +272,7 @@ fn percent(fraction: f64) -> String {
 /// Returns what is wrong with the actions, if anything.
 fn fault(
     conventions: &PushtConventions,
+    actions: &str,
     steps: &[Step],
     unexplained: f64,
     explained: f64,
@@ -278,7 +286,7 @@ fn fault(
             .map_or_else(String::new, |settings| format!("with {settings}, "));
         let kind = if relative { "relative" } else { "absolute" };
         format!(
-            "{with}data/action explains {} of the change in the agent's steps if read as {kind} targets{then}",
+            "{with}{actions} explains {} of the change in the agent's steps if read as {kind} targets{then}",
             percent(explained)
         )
     };
@@ -326,13 +334,13 @@ fn fault(
         let is_off = fraction >= 0.95 && off > MAX_ERROR && steps.len() >= 4 * MIN_STEPS;
         if !relative && (is_off || off > MAX_ERROR && better(fraction)) {
             let off = (explained >= MIN_EXPLAINED).then_some(off);
-            return Some(other_window(conventions, &describe, fraction, lines, off));
+            return Some(other_window(conventions, actions, &describe, fraction, lines, off));
         }
     }
     if explained >= MIN_EXPLAINED {
-        return other_row(steps, unexplained, explained, &describe);
+        return other_row(actions, steps, unexplained, explained, &describe);
     }
-    let row = other_row(steps, unexplained, explained, &describe);
+    let row = other_row(actions, steps, unexplained, explained, &describe);
     row.or_else(|| {
         convention(
             describe(&format!(
@@ -384,7 +392,13 @@ fn displacement(what: &str) -> Fault {
 }
 
 /// Checks whether the targets of the previous or the next row explain the motion better.
-fn other_row(steps: &[Step], unexplained: f64, explained: f64, describe: &impl Fn(&str) -> String) -> Option<Fault> {
+fn other_row(
+    actions: &str,
+    steps: &[Step],
+    unexplained: f64,
+    explained: f64,
+    describe: &impl Fn(&str) -> String,
+) -> Option<Fault> {
     let (of_earlier, _) = explain(steps, unexplained, |step| [step.earlier - step.agent, step.before]);
     let (of_later, _) = explain(steps, unexplained, |step| [step.later - step.agent, step.before]);
     let (fraction, row, move_by) = if of_earlier > of_later {
@@ -395,7 +409,7 @@ fn other_row(steps: &[Step], unexplained: f64, explained: f64, describe: &impl F
     (fraction >= 0.97 && fraction > explained + 0.05).then(|| Fault::Convention {
         what: describe(&format!(", and {} as the targets of the {row} row", percent(fraction))),
         fix: format!(
-            "move data/action {move_by} by one row within each episode, so that each row has the target that applies from its state on"
+            "move {actions} {move_by} by one row within each episode, so that each row has the target that applies from its state on"
         ),
     })
 }
@@ -416,6 +430,7 @@ fn farthest(conventions: &PushtConventions, lines: [Line; 2]) -> f64 {
 /// The fault of absolute targets in another unit, with the window that fits.
 fn other_window(
     conventions: &PushtConventions,
+    actions: &str,
     describe: &impl Fn(&str) -> String,
     fraction: f64,
     lines: [Line; 2],
@@ -454,7 +469,7 @@ fn other_window(
     ));
     let points_up = |[low, high]: [f64; 2]| high < low;
     let fix = if points_up(windows[1]) && !points_up(windows[0]) {
-        "flip y in data/action, because it points up there but down in the states".to_owned()
+        format!("flip y in {actions}, because it points up there but down in the states")
     } else {
         match usual {
             Some(window)

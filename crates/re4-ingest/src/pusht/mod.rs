@@ -8,8 +8,12 @@
 mod conventions;
 mod episodes;
 mod follow;
+pub(crate) mod from_lerobot;
 mod images;
+mod judge;
+mod keypoints;
 mod reader;
+mod reward;
 mod settle;
 mod source;
 mod validate;
@@ -17,7 +21,7 @@ mod writer;
 
 pub use crate::tables::KEYPOINTS;
 pub use conventions::{ActionKind, AngleUnit, PushtConventions};
-pub use episodes::PushtEpisodes;
+pub use episodes::{PushtEpisodes, Recorded};
 pub use images::{IMAGE_BUDGET, ImageBlock, ImageBlocks};
 pub use reader::{PushtOptions, PushtReader, PushtReading};
 pub use source::PushtSource;

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::conventions::PushtConventions;
-use super::episodes::PushtEpisodes;
-use super::follow;
+use super::episodes::{PushtEpisodes, Recorded};
 use super::images::{ImageBlocks, ImageSource};
-use super::settle::{covers, lost_episodes, of_episodes, settle};
+use super::judge;
+use super::settle::covers;
 use super::validate::{self, Notes};
 use crate::demos::Info;
 use crate::error::{Fault, IngestError};
@@ -28,10 +28,10 @@ const NUMBERS: &str = "a float type or an integer type of 16 bits or more";
 
 /// Maximum number of frames of a dataset: more than eleven days of recording at 10 Hz. All its numbers are read into memory, and
 /// a few bytes of compressed zeros could otherwise declare any number of frames.
-const FRAME_LIMIT: u64 = 10_000_000;
+pub(crate) const FRAME_LIMIT: u64 = 10_000_000;
 
 /// Control rate of the original dataset in Hz, which the checks assume.
-const RATE: f64 = 10.0;
+pub(crate) const RATE: f64 = 10.0;
 
 /// Number of columns of a state, without and with the agent's velocity.
 const STATE: u64 = 5;
@@ -275,67 +275,8 @@ impl PushtReader {
 
     fn read_checked(&self, selection: &Selection, options: &PushtOptions<'_>) -> Result<PushtReading, Fault> {
         let sources = selection.resolve_episodes(self.ranges.len())?;
-        let (mut episodes, mut notes, lost) = self.columns(sources, options)?;
-        let mut bad: Vec<(usize, Fault)> = validate::not_finite(&episodes);
-        let unread = lost_episodes(&episodes, &lost);
-        let is_good = |bad: &[(usize, Fault)]| {
-            let mut good: Vec<bool> = unread.iter().map(|lost| !lost).collect();
-            for (number, _) in bad {
-                good[*number] = false;
-            }
-            good
-        };
-
-        let raw_actions = episodes.action.clone();
-        let judgement = options.conventions.judge(&episodes, &is_good(&bad));
-        let mut faults = judgement.faults;
-        // Actions are checked against the positions in their most likely unit, so that faults of both are reported at once.
-        let conventions = if faults.is_empty() {
-            options.conventions
-        } else {
-            judgement.likely
-        };
-        notes.wrapped = conventions.convert(&mut episodes);
-        bad.extend(judgement.small.into_iter().map(|number| {
-            (number, Fault::Contradicts {
-                episode: episodes.sources[number],
-                what: "all positions of the block in array data/state are within 40 px of the window's corner, where the block cannot be".to_owned(),
-            })
-        }));
-        let following = follow::judge(&conventions, &episodes, &raw_actions, &is_good(&bad));
-        faults.extend(following.fault);
-        notes.explained = following.explained;
-        bad.extend(following.outliers.into_iter().map(|(number, fraction)| {
-            (
-                number,
-                Fault::Contradicts {
-                    episode: episodes.sources[number],
-                    what: format!(
-                        "array data/action explains {:.0} % of the change in the agent's steps",
-                        100.0 * fraction
-                    ),
-                },
-            )
-        }));
-        if !faults.is_empty() {
-            if options.on_bad == OnBad::Refuse {
-                faults.extend(lost.into_iter().map(|lost| lost.fault));
-                bad.retain(|(_, fault)| matches!(fault, Fault::NotFinite { .. }));
-                faults.extend(of_episodes(bad, episodes.episode_count(), false));
-            }
-            return Err(Fault::of_all(faults).unwrap_or(Fault::NoEpisodes));
-        }
-        let no_numbers: Vec<usize> = bad
-            .iter()
-            .filter_map(|(number, fault)| matches!(fault, Fault::NotFinite { .. }).then_some(*number))
-            .collect();
-        // Rows that cannot be read are filled with zeros, so faults found in them would be meaningless.
-        bad.extend(validate::faults(&episodes).into_iter().filter(|(number, fault)| {
-            !(unread[*number] || no_numbers.contains(number) && matches!(fault, Fault::NotFinite { .. }))
-        }));
-        bad.retain(|(number, _)| !unread[*number]);
-        bad.sort_by_key(|(number, _)| *number);
-        settle(episodes, &notes, lost, bad, options)
+        let (episodes, notes, lost) = self.columns(sources, options)?;
+        judge::judged(episodes, notes, lost, Vec::new(), options)
     }
 
     /// Reads the columns of the selected episodes as they are in the dataset, and the rows that cannot be read.
@@ -426,6 +367,7 @@ impl PushtReader {
             }),
             sources,
             rows,
+            recorded: Recorded::default(),
         };
         if self.state.shape().get(1) == Some(&STATE_WITH_VELOCITY) {
             let wide: Vec<[f64; 7]> = table(&state);

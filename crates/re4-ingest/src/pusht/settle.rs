@@ -102,6 +102,7 @@ fn without(episodes: &PushtEpisodes, why: Vec<Option<String>>) -> (PushtEpisodes
     let mut good = PushtEpisodes {
         contacts: episodes.contacts.as_ref().map(|_| Vec::new()),
         keypoint: episodes.keypoint.as_ref().map(|_| Vec::new()),
+        recorded: episodes.recorded.clone(),
         ..PushtEpisodes::default()
     };
     let mut left_out = Vec::new();

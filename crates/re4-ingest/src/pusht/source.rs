@@ -68,12 +68,36 @@ impl PushtSource {
             reader,
         })
     }
+}
+
+impl PushtReading {
+    /// Passes the demonstrations to `take`, in order: those that were read, and those that were left out.
+    ///
+    /// # Errors
+    /// An error that `take` returns.
+    pub(crate) fn each<E>(
+        &self,
+        demos: &[DemoName],
+        mut take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut left = self.left_out.iter().peekable();
+        let mut number = 0;
+        for (place, name) in demos.iter().enumerate() {
+            if let Some(left) = left.next_if(|left| left.demo == name.name) {
+                take(place, Err(left.clone()))?;
+            } else {
+                take(place, Ok(self.episode(name, number)))?;
+                number += 1;
+            }
+        }
+        Ok(())
+    }
 
     fn episode(&self, name: &DemoName, number: usize) -> Episode {
-        let episodes = &self.reading.episodes;
+        let episodes = &self.episodes;
         let frame = |i: usize| PlanarColumns {
             eef: episodes.agent(i),
-            object: Some(episodes.block(i)),
+            object: episodes.recorded.block.then(|| episodes.block(i)),
             action: Point2::new(episodes.action[i][0], episodes.action[i][1]),
             contacts: episodes.contacts.as_ref().map(|contacts| contacts[i]),
             keypoints: (episodes.keypoint.as_ref()).map(|points| points[i].map(|[x, y]| Point2::new(x, y))),
@@ -108,19 +132,9 @@ impl DemoSource for PushtSource {
 
     fn episodes<E: From<IngestError> + Send>(
         &self,
-        mut take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
+        take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut left = self.reading.left_out.iter().peekable();
-        let mut number = 0;
-        for (place, name) in self.demos.iter().enumerate() {
-            if let Some(left) = left.next_if(|left| left.demo == name.name) {
-                take(place, Err(left.clone()))?;
-            } else {
-                take(place, Ok(self.episode(name, number)))?;
-                number += 1;
-            }
-        }
-        Ok(())
+        self.reading.each(&self.demos, take)
     }
 
     fn images<E: From<IngestError>>(

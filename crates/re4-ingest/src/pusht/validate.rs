@@ -147,7 +147,7 @@ pub(super) fn faults(episodes: &PushtEpisodes) -> Vec<(usize, Fault)> {
         |place, points| {
             let row: [f64; 2 * KEYPOINTS] = std::array::from_fn(|i| points[i / 2][i % 2]);
             check_row(
-                "data/keypoint",
+                "array data/keypoint",
                 place,
                 &row,
                 |_| PIXELS,
@@ -175,13 +175,14 @@ fn states_and_actions(
     action: Bounds,
 ) -> Vec<(usize, Fault)> {
     let mut faults = Vec::new();
+    let (states, actions) = (episodes.recorded.states(), episodes.recorded.actions());
     first_of_each(&mut faults, episodes, &episodes.state, |place, row| {
         let name = |column: usize| STATE_COLUMNS[column].to_owned();
-        check_row("data/state", place, row, &state, name)
+        check_row(&states, place, row, &state, name)
     });
     first_of_each(&mut faults, episodes, &episodes.action, |place, row| {
         let name = |column: usize| ACTION_COLUMNS[column].to_owned();
-        check_row("data/action", place, row, |_| action, name)
+        check_row(&actions, place, row, |_| action, name)
     });
     faults
 }
@@ -222,7 +223,8 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
             .iter()
             .any(|coordinate| !(0.0..=WINDOW).contains(coordinate))
     });
-    let repeated = steps(&|frame| episodes.state[frame] == episodes.state[frame - 1]);
+    // Without the block, an agent that waits repeats its state.
+    let repeated = steps(&|frame| episodes.recorded.block && episodes.state[frame] == episodes.state[frame - 1]);
     let short: Vec<u32> = episodes
         .sources
         .iter()
@@ -271,7 +273,7 @@ pub(super) fn warnings(episodes: &PushtEpisodes, notes: &Notes) -> Vec<Warning> 
         count,
         format!("{count} frames repeat the state of the frame before them"),
     );
-    let absent = |present: bool| usize::from(!present);
+    let absent = |present: bool| usize::from(!present && episodes.recorded.is_zarr());
     found(
         WarningCode::NoContacts,
         None,

@@ -12,7 +12,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use re4_ingest::Selection;
-use re4_ingest::pusht::{PushtEpisodes, PushtOptions, PushtReader};
+use re4_ingest::pusht::{PushtEpisodes, PushtOptions, PushtReader, Recorded};
 use tempfile::TempDir;
 
 pub(crate) mod made;
@@ -94,6 +94,7 @@ pub(crate) fn expected(sources: &[u32], complete: bool) -> PushtEpisodes {
         contacts: complete.then(|| all().map(contacts).collect()),
         keypoint: complete.then(|| all().map(keypoint).collect()),
         rows,
+        recorded: Recorded::default(),
     }
 }
 

@@ -22,6 +22,16 @@ pub enum Codec {
     H264,
 }
 
+impl Codec {
+    /// Its common name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Av1 => "AV1",
+            Self::H264 => "H.264",
+        }
+    }
+}
+
 /// A coded frame. In these videos, each sample of the file codes one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Sample {

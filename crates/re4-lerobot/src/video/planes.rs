@@ -1,5 +1,7 @@
 //! Decoded frames, and their conversion to RGB.
 
+use std::fmt;
+
 /// How many chroma samples there are per luma sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Chroma {
@@ -46,6 +48,18 @@ pub struct Planes {
     pub u: Vec<u8>,
     /// Red difference; empty for a gray image.
     pub v: Vec<u8>,
+}
+
+/// In words, with the choice of the chroma sample.
+impl fmt::Display for Color {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let matrix = match self.matrix {
+            Matrix::Bt601 => "BT.601",
+            Matrix::Bt709 => "BT.709",
+        };
+        let range = if self.full_range { "full" } else { "limited" };
+        write!(f, "{matrix}, {range} range, nearest chroma")
+    }
 }
 
 impl Color {

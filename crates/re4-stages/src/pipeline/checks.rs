@@ -344,7 +344,6 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     );
     let ingest = &pipeline.ingest;
     let foreign = [
-        ("filter", ingest.filter.is_some()),
         ("object", ingest.object.is_some()),
         ("env_args", ingest.env_args.is_some()),
         ("compare", ingest.compare.is_some()),

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use re4_encoder::EncoderConfig;
 use re4_geometry::Pose2;
 use re4_index::trim::Trim;
+use re4_ingest::lerobot::LerobotKeys;
 use re4_ingest::pusht::PushtConventions;
 use re4_ingest::{OnBad, Selection};
 use re4_robosuite::conventions::Settings as Conventions;
@@ -18,10 +19,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestSection {
-    /// Path of the dataset: the folder or zip file of the Push-T zarr store, or the HDF5 file of a robosuite task. A relative
-    /// path is looked up in the folder that `RE4_DATA` names, then in `data`, then in the current folder.
+    /// Path of the dataset: the folder or zip file of the Push-T zarr store, the folder of a LeRobot dataset, or the HDF5 file of a
+    /// robosuite task. A relative path is looked up in the folder that `RE4_DATA` names, then in `data`, then in the current folder.
     pub source: PathBuf,
-    /// robosuite tasks: filter key below `/mask`, such as `train`. Only its demonstrations are ingested.
+    /// robosuite tasks: filter key below `/mask`, such as `train`; LeRobot datasets: name of a split. Only its demonstrations are
+    /// ingested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub filter: Option<String>,
     /// robosuite tasks: name of the manipulated object's body. Only for `task = "robosuite"`; the other tasks define it.
@@ -43,6 +45,9 @@ pub struct IngestSection {
     /// Push-T: units and conventions of the dataset if they differ from those of the original dataset.
     #[serde(default, skip_serializing_if = "PushtConventions::is_default")]
     pub pusht: PushtConventions,
+    /// LeRobot datasets: which features are used for what.
+    #[serde(default, skip_serializing_if = "LerobotKeys::is_default")]
+    pub lerobot: LerobotKeys,
     /// Whether to ingest the images.
     #[serde(default = "yes")]
     pub images: bool,

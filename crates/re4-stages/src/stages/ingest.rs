@@ -3,7 +3,9 @@
 
 mod hdf5;
 mod helper;
+mod lerobot;
 mod rendered;
+mod serve;
 mod spool;
 mod tables;
 mod worker;
@@ -11,10 +13,13 @@ mod write;
 mod zarr;
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, Key, Recipe, Stage};
-use re4_fault::{Fault, bail};
+use indicatif::ProgressBar;
+use re4_artifact::{Artifact, Key, Recipe, Stage, Store};
+use re4_fault::{Fault, OrFault as _, bail, ensure, fault};
+use re4_ingest::lerobot::LerobotSource;
 use re4_ingest::robomimic::RobomimicSource;
 use re4_ingest::{DemoSource as _, LeftOut, OnBad, refusal};
 use serde_json::{Value, json};
@@ -23,7 +28,8 @@ use crate::inputs::sources::{find_source, left_out};
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
-pub use hdf5::serve_ingest;
+pub use serve::serve_ingest;
+use worker::Request;
 pub use worker::SUBCOMMAND as INGEST_WORKER;
 pub(crate) use worker::WorkerCrashed;
 
@@ -40,6 +46,10 @@ impl Runner {
     /// If the dataset cannot be ingested, a setting does not fit it, or the run is interrupted.
     pub fn ingest(&self) -> Result<Built> {
         let path = find_source(&self.pipeline.ingest.source)?;
+        if LerobotSource::probe(&path) {
+            return self.ingest_lerobot(path);
+        }
+        self.refuse_keys_of_lerobot(&path)?;
         // Other mismatches of format and task are reported when the source is opened.
         match (self.pipeline.task.is_planar(), RobomimicSource::probe(&path)) {
             (true, true) => bail!(
@@ -49,6 +59,46 @@ impl Runner {
             (true, false) => self.ingest_zarr(&path),
             (false, _) => self.ingest_hdf5(path),
         }
+    }
+
+    /// Refuses settings that only apply to LeRobot datasets.
+    fn refuse_keys_of_lerobot(&self, path: &Path) -> Result<()> {
+        let section = &self.pipeline.ingest;
+        ensure!(
+            section.lerobot.is_default(),
+            "cannot ingest {}: the table [ingest.lerobot] applies only to LeRobot datasets", path.display();
+            "remove it"
+        );
+        ensure!(
+            !self.pipeline.task.is_planar() || section.filter.is_none(),
+            "cannot ingest {}: a zarr store has no filter keys", path.display();
+            "remove ingest.filter"
+        );
+        Ok(())
+    }
+
+    /// Lets a worker make the artifact.
+    fn made_by_worker(&self, request: &Request, recipe: &Recipe, start: Instant) -> Result<Built> {
+        self.attended(request, |bar| worker::run(request, &self.interrupt, bar))?;
+        let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
+        let artifact = artifact.or_fault(|| {
+            fault!(
+                "cannot ingest {}: the new artifact has disappeared, perhaps removed by another process", request.source.display();
+                "run again"
+            )
+        })?;
+        self.made(artifact, recipe, start)
+    }
+
+    /// Runs `work`, which uses a worker, and removes the unfinished artifact of a worker that failed.
+    fn attended<T>(&self, request: &Request, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
+        let ended = work(&self.notes.progress(0, STAGE));
+        if ended.is_err() {
+            self.interrupt.check(STAGE)?;
+            // Opening the store removes unfinished artifacts.
+            Store::open(&request.artifacts)?;
+        }
+        ended
     }
 
     /// The files that a command with this pipeline reads: the pipeline file, the source, and the file of `ingest.compare`.

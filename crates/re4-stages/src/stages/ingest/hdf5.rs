@@ -1,14 +1,11 @@
 //! Ingests HDF5 files of robosuite tasks. If the HDF5 library is needed, a separate worker process makes the artifact.
 
-use std::io::{BufRead as _, BufReader, Read as _};
-use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use indicatif::ProgressBar;
-use nix::sys::resource::{Resource, setrlimit};
-use re4_artifact::{Artifact, Stage, Store};
-use re4_fault::{OrFault as _, ensure, fault};
+use re4_artifact::{Artifact, Key, Store};
+use re4_fault::{ensure, fault};
 use re4_ingest::robomimic::{
     Access, Comparison, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources,
 };
@@ -18,20 +15,13 @@ use serde_json::{Value, json};
 
 use super::rendered::{self, Rendering};
 use super::spool::Spool;
-use super::worker::{self, Message, Request, Work, send};
+use super::worker::{self, Format, Hdf5, Message, Request};
 use super::write::{Images, Ingest};
-use super::{STAGE, helper, recipe};
+use super::{STAGE, recipe};
 use crate::inputs::sources::find_source;
 use crate::interrupt::Interrupt;
-use crate::notes::fault_of;
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
-
-/// How long a worker may take to stop by itself after its parent has closed the worker's standard input.
-const GRACE: Duration = Duration::from_millis(400);
-
-/// Maximum length of a request that a worker reads, in bytes.
-const MAX_REQUEST: u64 = 16 << 20;
 
 impl Runner {
     /// Makes the `episodes` artifact of an HDF5 file, or returns the existing one. This process never uses the HDF5 library: it
@@ -47,14 +37,17 @@ impl Runner {
         let mut sources = Sources::open(&source)?;
         let compare = section.compare.as_deref().map(find_source).transpose()?;
         let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
-        let mut request = Request {
-            hash: None,
+        let mut hdf5 = Hdf5 {
             identity: sources.identity(),
             compare_hash: None,
             compare_identity: compare_sources.as_ref().map(Sources::identity),
+            compare,
+        };
+        let mut request = Request {
+            hash: None,
+            format: Format::Hdf5(hdf5.clone()),
             gl,
             source,
-            compare,
             pipeline: self.pipeline.clone(),
             artifacts: self.store.root().to_path_buf(),
             threads: rayon::current_num_threads(),
@@ -83,12 +76,13 @@ impl Runner {
             }
             None => {}
         }
-        request.identity = sources.identity();
+        hdf5.identity = sources.identity();
         request.hash = Some(match early {
             Some(hashed) => hashed.map_err(|_| fault!("the thread that hashes the source stopped"; "run again"))??,
             None => hash(&sources)?,
         });
-        request.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
+        hdf5.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
+        request.format = Format::Hdf5(hdf5);
         let recipe = request.recipe(Value::Null)?;
         if let Some(built) = self.unchanged(&recipe, start)? {
             self.refuse_left_out(&built.artifact, &request.source)?;
@@ -113,15 +107,7 @@ impl Runner {
                 made => return self.made(made?, &recipe, start),
             }
         }
-        self.attended(&request, |bar| worker::run(&request, &self.interrupt, bar))?;
-        let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
-        let artifact = artifact.or_fault(|| {
-            fault!(
-                "cannot ingest {}: the new artifact has disappeared, perhaps removed by another process", request.source.display();
-                "run again"
-            )
-        })?;
-        self.made(artifact, &recipe, start)
+        self.made_by_worker(&request, &recipe, start)
     }
 
     /// Opens the file without the HDF5 library; `None` if its layout needs the library.
@@ -134,17 +120,6 @@ impl Runner {
             opened => Ok(Some(opened?)),
         }
     }
-
-    /// Runs `work`, which uses a worker, and removes the unfinished artifact of a worker that failed.
-    fn attended<T>(&self, request: &Request, work: impl FnOnce(&ProgressBar) -> Result<T>) -> Result<T> {
-        let ended = work(&self.notes.progress(0, STAGE));
-        if ended.is_err() {
-            self.interrupt.check(STAGE)?;
-            // Opening the store removes unfinished artifacts.
-            Store::open(&request.artifacts)?;
-        }
-        ended
-    }
 }
 
 /// For tests: the value `library` makes ingest read every file with the HDF5 library.
@@ -156,63 +131,31 @@ fn needs_library(error: &anyhow::Error) -> bool {
 }
 
 impl Request {
+    /// The file of `ingest.compare`, and its hash.
+    fn compared(&self) -> Option<(&Path, Option<&Key>)> {
+        match &self.format {
+            Format::Hdf5(hdf5) => Some((hdf5.compare.as_deref()?, hdf5.compare_hash.as_ref())),
+            Format::Lerobot(_) => None,
+        }
+    }
+
     /// The recipe of the artifact.
-    fn recipe(&self, summary: Value) -> Result<re4_artifact::Recipe> {
+    pub(super) fn recipe(&self, summary: Value) -> Result<re4_artifact::Recipe> {
         let hash = self.hash.as_ref().context("the source was not hashed")?;
         let render = rendered::settings(&self.pipeline.ingest.render, self.gl.as_deref());
-        recipe(&self.pipeline, hash, self.compare_hash.as_ref(), &render, summary)
+        recipe(
+            &self.pipeline,
+            hash,
+            self.compared().and_then(|(_, hash)| hash),
+            &render,
+            summary,
+        )
     }
 }
 
-/// The worker process: reads its request from standard input, makes and publishes the artifact, and reports to its parent on
-/// standard output.
-///
-/// # Errors
-/// If the request cannot be read or the store cannot be opened. Later errors are reported to the parent.
-pub fn serve_ingest() -> Result<()> {
-    let mut input = BufReader::new(std::io::stdin());
-    let mut line = String::new();
-    input
-        .by_ref()
-        .take(MAX_REQUEST)
-        .read_line(&mut line)
-        .context("cannot read the request")?;
-    let work: Work = serde_json::from_str(&line)
-        .or_fault(|| fault!("ingest-worker is an internal command"; "use re4-pipe ingest"))?;
-    let request = match work {
-        Work::Ingest(request) => *request,
-        Work::Render(setup) => return helper::serve(&setup, input),
-    };
-    // The limits are a safeguard against damaged files. If the system refuses them, the sizes in the file are still checked.
-    let memory = worker::memory(&request);
-    let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
-    let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
-    let store = Store::open(&request.artifacts)?;
-    let interrupt = Interrupt::listen_with_report(Some(&store), |fault| send(&Message::failed(&fault)));
-    let stop = interrupt.clone();
-    std::thread::spawn(move || {
-        let _ = std::io::copy(&mut input, &mut std::io::sink());
-        stop.request();
-        std::thread::sleep(GRACE);
-        // Kept until the process has ended, so that nothing more is published.
-        let _publication = store.abandon();
-        #[allow(clippy::exit, reason = "the parent has ended, and the thread may be stuck in C code")]
-        std::process::exit(2);
-    });
-    let message = match serve(&request, &interrupt) {
-        Ok(message) => message,
-        Err(error) => Message::failed(&fault_of(&error)),
-    };
-    send(&message);
-    Ok(())
-}
-
-fn serve(request: &Request, interrupt: &Interrupt) -> Result<Message> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(request.threads)
-        .build_global()
-        .or_fault(|| fault!("cannot start {} worker threads", request.threads; "give a smaller --jobs"))?;
-    let sources = Sources::open_again(&request.source, &request.identity)?;
+/// In the worker: makes and publishes the artifact, or returns the models that the file refers to.
+pub(super) fn serve(request: &Request, hdf5: &Hdf5, interrupt: &Interrupt) -> Result<Message> {
+    let sources = Sources::open_again(&request.source, &hdf5.identity)?;
     let reader = RobomimicReader::open(&sources, &choice(&request.pipeline, request.cautious), Access::Library)?;
     if request.hash.is_none() {
         return Ok(Message::Models(
@@ -220,10 +163,10 @@ fn serve(request: &Request, interrupt: &Interrupt) -> Result<Message> {
         ));
     }
     // Models that were added or removed since the parent hashed the files are a change, too.
-    if reader.sources().identity() != request.identity {
+    if reader.sources().identity() != hdf5.identity {
         return Err(reader.sources().changed().into());
     }
-    let compare = match (&request.compare, &request.compare_identity) {
+    let compare = match (&hdf5.compare, &hdf5.compare_identity) {
         (Some(path), Some(identity)) => Some(Sources::open_again(path, identity)?),
         _ => None,
     };
@@ -271,7 +214,7 @@ fn make(
     let ingest = Ingest {
         section: &request.pipeline.ingest,
         source: &request.source,
-        compare: request.compare.as_deref(),
+        compare: request.compared().map(|(path, _)| path),
         conventions: source.conventions(),
         images: match rendering(request, source.reader(), source.env())? {
             Some(rendering) => Images::Rendered(rendering, Spool::open(&request.artifacts, recipe.key())?),

@@ -8,8 +8,8 @@ use anyhow::Result;
 use re4_artifact::{Row, RowWriter, Writer};
 use re4_fault::fault;
 use re4_ingest::{
-    DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, LeftOutFrameRow, Matrix, ModelRow, PlanarColumns,
-    SpatialColumns, StateRow, Tally,
+    ArmColumns, DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, LeftOutFrameRow, Matrix, ModelRow,
+    PlanarColumns, SpatialColumns, StateRow, Tally,
 };
 
 /// Rows per row group. A group is encoded while the next one is read.
@@ -142,14 +142,17 @@ fn write_frames(writer: &Writer, demos: &Receiver<(u32, Frames)>) -> Result<()> 
     }
     let mut plane = Begun::<FrameRow<PlanarColumns>>::new(writer);
     let mut space = Begun::<FrameRow<SpatialColumns>>::new(writer);
+    let mut arm = Begun::<FrameRow<ArmColumns>>::new(writer);
     for (episode, frames) in demos {
         match frames {
             Frames::Planar(frames) => plane.extend(rows(episode, frames))?,
             Frames::Spatial(frames) => space.extend(rows(episode, frames))?,
+            Frames::Arm(frames) => arm.extend(rows(episode, frames))?,
         }
     }
     plane.finish()?;
-    space.finish()
+    space.finish()?;
+    arm.finish()
 }
 
 /// A writer of table `left_out_frames`.

@@ -17,6 +17,7 @@ use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
 use re4_artifact::Key;
 use re4_fault::{Fault, OrFault as _, Remedy, bail, fault};
+use re4_ingest::lerobot::LerobotFiles;
 use re4_ingest::robomimic::SourcesIdentity;
 use serde::{Deserialize, Serialize};
 use tracing::info;
@@ -82,18 +83,12 @@ pub(crate) enum Work {
 pub(crate) struct Request {
     /// The pipeline, overrides applied.
     pub(crate) pipeline: Pipeline,
-    /// The HDF5 file.
+    /// The dataset.
     pub(crate) source: PathBuf,
-    /// Hash of the source. `None` asks only for the names of the models that its demonstrations refer to.
+    /// Hash of the source. `None` asks only for what it depends on: see [`Message::Models`] and [`Message::Hashed`].
     pub(crate) hash: Option<Key>,
-    /// Identity of the files that were hashed.
-    pub(crate) identity: SourcesIdentity,
-    /// The file of `ingest.compare`.
-    pub(crate) compare: Option<PathBuf>,
-    /// Hash of the file of `ingest.compare`.
-    pub(crate) compare_hash: Option<Key>,
-    /// Identity of the file of `ingest.compare`.
-    pub(crate) compare_identity: Option<SourcesIdentity>,
+    /// Its format, and what depends on it.
+    pub(crate) format: Format,
     /// The OpenGL library for rendering; `None` if nothing is rendered.
     pub(crate) gl: Option<String>,
     /// The artifacts folder.
@@ -104,6 +99,55 @@ pub(crate) struct Request {
     pub(crate) cautious: bool,
 }
 
+/// The format of a dataset that a worker reads.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Format {
+    /// An HDF5 file.
+    Hdf5(Hdf5),
+    /// A LeRobot dataset, with the identity of the files that were hashed.
+    Lerobot(Option<LerobotFiles>),
+}
+
+/// What a worker needs to know about an HDF5 file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Hdf5 {
+    /// Identity of the files that were hashed.
+    pub(crate) identity: SourcesIdentity,
+    /// The file of `ingest.compare`.
+    pub(crate) compare: Option<PathBuf>,
+    /// Hash of the file of `ingest.compare`.
+    pub(crate) compare_hash: Option<Key>,
+    /// Identity of the file of `ingest.compare`.
+    pub(crate) compare_identity: Option<SourcesIdentity>,
+}
+
+impl Format {
+    /// What is read, in messages.
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Hdf5(_) => "HDF5",
+            Self::Lerobot(_) => "LeRobot data",
+        }
+    }
+
+    /// What reads it, in messages.
+    fn reader(&self) -> &'static str {
+        match self {
+            Self::Hdf5(_) => "the HDF5 library",
+            Self::Lerobot(_) => "the decoder of tables, images and videos",
+        }
+    }
+
+    /// What a dataset is compared with if it needs too much memory.
+    fn usual(&self) -> &'static str {
+        match self {
+            Self::Hdf5(_) => "far larger than robomimic's files",
+            Self::Lerobot(_) => "its row groups are far larger than those of LeRobot's writer",
+        }
+    }
+}
+
 /// A message of a worker: one JSON object per line.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -112,6 +156,8 @@ pub(crate) enum Message {
     Progress(u64, u64),
     /// Names of the model files that the source refers to.
     Models(Vec<String>),
+    /// Hash and identity of the files of a LeRobot dataset. Which files these are is known only after it was opened.
+    Hashed(Key, LerobotFiles),
     /// The artifact is published.
     Done,
     /// The worker stopped with an error.
@@ -182,6 +228,14 @@ pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar
     }
 }
 
+/// Asks a worker for the hash of a LeRobot dataset.
+pub(super) fn hashed(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<(Key, LerobotFiles)> {
+    match work(request, interrupt, bar)? {
+        Message::Hashed(hash, files) => Ok((hash, files)),
+        _ => bail!("the worker process did not return the hash of {}", request.source.display(); "run again"),
+    }
+}
+
 /// Runs a worker to its end. Returns its last message.
 fn work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
     match try_to_work(request, interrupt, bar) {
@@ -198,7 +252,7 @@ fn work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<M
     }
 }
 
-/// The HDF5 library crashed.
+/// The library that reads the dataset crashed.
 #[derive(Debug, thiserror::Error, Remedy)]
 #[error("{0}")]
 #[remedy(_0.remedy())]
@@ -206,8 +260,10 @@ pub(crate) struct WorkerCrashed(Fault);
 
 fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
     let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", request.source.display()));
-    let program = std::env::current_exe()
-        .context("cannot find the program's own file, which is needed to read HDF5 in a worker process")?;
+    let (name, reader) = (request.format.name(), request.format.reader());
+    let program = std::env::current_exe().with_context(|| {
+        format!("cannot find the program's own file, which is needed to read {name} in a worker process")
+    })?;
     let mut command = Command::new(program);
     command.arg(SUBCOMMAND);
     if request.cautious {
@@ -226,8 +282,8 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .or_fault(|| fault!("cannot start a worker process to read HDF5"; "end other programs and run again"))?;
-    info!(process = child.id(), source = %request.source.display(), cautious = request.cautious, "worker started to read HDF5");
+        .or_fault(|| fault!("cannot start a worker process to read {name}"; "end other programs and run again"))?;
+    info!(process = child.id(), source = %request.source.display(), cautious = request.cautious, "worker started to read {name}");
     interrupt.set_worker(Some(child.id()));
     let mut line = serde_json::to_vec(&Work::Ingest(Box::new(request.clone())))?;
     line.push(b'\n');
@@ -254,18 +310,19 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
         _ => wait(&mut child, EXITING),
     };
     interrupt.set_worker(None);
-    let status = status.context("cannot get the exit status of the worker process that reads HDF5")?;
+    let status =
+        status.with_context(|| format!("cannot get the exit status of the worker process that reads {name}"))?;
     info!(%status, "worker ended");
     match ended {
         // The artifact is published, even if the worker had to be killed afterwards.
-        Ended::Message(message @ (Message::Done | Message::Models(_))) => return Ok(message),
+        Ended::Message(message @ (Message::Done | Message::Models(_) | Message::Hashed(..))) => return Ok(message),
         Ended::Message(Message::Failed { what, remedy }) => {
             interrupt.check("ingest")?;
             return Err(Fault::new(what, remedy).into());
         }
         Ended::Silent => {
             return Err(refuse(fault!(
-                "the HDF5 library made no progress for {} s, so the file may be damaged or its disk may not respond",
+                "{reader} made no progress for {} s, so the file may be damaged or its disk may not respond",
                 patience.as_secs();
                 "copy the file to a local disk or download it again"
             ))
@@ -275,7 +332,7 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
         Ended::Interrupted | Ended::Message(_) | Ended::Gone => interrupt.check("ingest")?,
     }
     let stderr = stderr.join().unwrap_or_default();
-    let refusal = refuse(how_it_ended(status, &stderr));
+    let refusal = refuse(how_it_ended(&request.format, status, &stderr));
     Err(match status.signal() {
         Some(SIGABRT | SIGBUS | SIGSEGV) => WorkerCrashed(refusal).into(),
         _ => refusal.into(),
@@ -367,12 +424,12 @@ fn end(child: &mut Child) -> std::io::Result<ExitStatus> {
 }
 
 /// The error for a worker that ended without a last message.
-fn how_it_ended(status: ExitStatus, stderr: &str) -> Fault {
+fn how_it_ended(format: &Format, status: ExitStatus, stderr: &str) -> Fault {
     // The message that Rust prints when an allocation fails, here because of the memory limit.
     if stderr.contains("memory allocation of") {
         return fault!(
-            "reading it needs more than {} GiB of memory, so it is damaged or far larger than robomimic's files",
-            MEMORY >> 30;
+            "reading it needs more than {} GiB of memory, so it is damaged or {}",
+            MEMORY >> 30, format.usual();
             "copy or download it again, or ingest fewer demonstrations with ingest.select"
         );
     }
@@ -387,7 +444,7 @@ fn how_it_ended(status: ExitStatus, stderr: &str) -> Fault {
             fault!("the worker process exceeded the file size limit (signal 25)"; "raise the limit (ulimit -f) and run again")
         }
         (Some(signal), _) => fault!(
-            "the HDF5 library crashed (signal {signal}), so the file is damaged";
+            "{} crashed (signal {signal}), so the file is damaged", format.reader();
             "copy or download it again"
         ),
         (None, code) => {

@@ -87,6 +87,9 @@ impl Ingest<'_> {
         if !self.conventions.is_empty() {
             writer.write_rows(self.conventions.iter().cloned())?;
         }
+        if !source.signals().is_empty() {
+            writer.write_rows(source.signals().iter().cloned())?;
+        }
         let demos = source.demos().len();
         let refuse = self.section.on_bad == OnBad::Refuse;
         let mut left: Vec<LeftOut> = Vec::new();
@@ -170,7 +173,10 @@ impl Ingest<'_> {
                 Images::Rendered(rendering, _) => json!(rendering.cameras()),
             },
         );
-        for key in ["actions", "conventions"] {
+        if !source.signals().is_empty() {
+            set("rate", json!(info.rate));
+        }
+        for key in ["actions", "conventions", "image_coding"] {
             if let Some(value) = info.details.get(key) {
                 set(key, value.clone());
             }
