@@ -54,12 +54,29 @@ impl fmt::Display for Mode {
 pub struct PlanarFrame {
     /// Position of the pusher's centre (the end effector).
     pub eef: Point2,
-    /// Pose of the manipulated object.
+    /// Pose of the manipulated object; [`Self::UNKNOWN`] if it was not recorded.
     pub object: Pose2,
     /// Absolute target position commanded to the pusher at this frame.
     pub action: Point2,
     /// Number of contact points between pusher and block during the control step before this frame, as counted by the simulator.
     pub contacts: f64,
+}
+
+impl PlanarFrame {
+    /// The pose of an object whose pose was not recorded.
+    pub const UNKNOWN: Pose2 = Pose2 {
+        x: f64::NAN,
+        y: f64::NAN,
+        theta: f64::NAN,
+    };
+
+    /// The pose of the manipulated object, if it was recorded.
+    #[must_use]
+    pub fn known_object(&self) -> Option<Pose2> {
+        let pose = self.object;
+        let unknown = pose.x.is_nan() && pose.y.is_nan() && pose.theta.is_nan();
+        (!unknown).then_some(pose)
+    }
 }
 
 /// A planar demonstration.

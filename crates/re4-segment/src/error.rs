@@ -21,6 +21,13 @@ pub enum SegmentError {
     #[error("cannot segment by the gripper command: Push-T has no gripper")]
     #[remedy("set segment.rule to always_transit or rigid_motion")]
     NoGripper,
+    /// The configured rule needs the pose of the block.
+    #[error("cannot segment {demo} by rigid motion: the pose of the block was not recorded")]
+    #[remedy("set segment.rule to always_transit")]
+    NoObject {
+        /// Name of the demonstration in its source.
+        demo: String,
+    },
     /// The episode has no frames.
     #[error("cannot segment {demo}: it has no frames")]
     #[remedy("leave it out with ingest.select")]

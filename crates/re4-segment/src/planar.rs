@@ -2,7 +2,7 @@
 
 use re4_artifact::columns;
 use re4_episode::{Mode, PlanarEpisode, PlanarFrame, Segment, segments};
-use re4_geometry::Point2;
+use re4_geometry::{Point2, Pose2};
 
 use crate::Segmented;
 use crate::config::{Rule, SegmentConfig};
@@ -26,7 +26,8 @@ columns! {
         /// Distance that the pusher moves.
         #[unit = "px"]
         pub eef_step: Option<f64>,
-        /// Distance that the origin of the block's frame moves.
+        /// Distance that the origin of the block's frame moves; null if the block's pose was not recorded, as in the other columns
+        /// about the block.
         #[unit = "px"]
         pub object_step: Option<f64>,
         /// Angle by which the block rotates, signed, in [-pi, pi).
@@ -41,7 +42,7 @@ columns! {
         pub relative_rotation: Option<f64>,
         /// Distance from the pusher's centre to the origin of the block's frame.
         #[unit = "px"]
-        pub eef_object_distance: f64,
+        pub eef_object_distance: Option<f64>,
         /// Whether the object translates or rotates further than the configured thresholds.
         pub object_moving: Option<bool>,
     }
@@ -65,12 +66,14 @@ columns! {
         /// Largest distance, over a transfer segment, of the end effector in the object's frame from the grasp; null in transit.
         #[unit = "px"]
         pub rigidity_residual: Option<f64>,
-        /// Distance between the positions of the object's origin at the start and at the end of the segment.
+        /// Distance between the positions of the object's origin at the start and at the end of the segment; null if the block's pose
+        /// was not recorded.
         #[unit = "px"]
-        pub object_displacement: f64,
-        /// Sum of the object's signed rotations over the segment; not wrapped, so that it can exceed pi.
+        pub object_displacement: Option<f64>,
+        /// Sum of the object's signed rotations over the segment; not wrapped, so that it can exceed pi. Null if
+        /// the block's pose was not recorded.
         #[unit = "rad"]
-        pub object_rotation: f64,
+        pub object_rotation: Option<f64>,
     }
 }
 
@@ -81,7 +84,8 @@ columns! {
 ///
 /// # Errors
 /// [`SegmentError::Config`] if a threshold is out of range, [`SegmentError::Empty`] if there is no frame,
-/// [`SegmentError::NoGripper`] if the rule needs a gripper,
+/// [`SegmentError::NoGripper`] if the rule needs a gripper, [`SegmentError::NoObject`] if it needs the pose of the block and this is
+/// unknown,
 /// [`SegmentError::NotFinite`] if a coordinate of a pose is not a finite number.
 pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result<SegmentedEpisode, SegmentError> {
     config.check()?;
@@ -93,6 +97,10 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
         return Err(SegmentError::Empty { demo: episode.name() });
     }
     check_finite(episode)?;
+    let known = frames.iter().all(|frame| frame.known_object().is_some());
+    if !known && config.rule == Rule::RigidMotion {
+        return Err(SegmentError::NoObject { demo: episode.name() });
+    }
     let steps: Vec<StepMotion> = frames
         .iter()
         .zip(frames.iter().skip(1))
@@ -128,12 +136,13 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
 
 fn check_finite(episode: &PlanarEpisode) -> Result<(), SegmentError> {
     for (i, frame) in episode.frames.iter().enumerate() {
+        let object = frame.known_object().unwrap_or(Pose2::IDENTITY);
         for (column, value) in [
             ("eef_x", frame.eef.x),
             ("eef_y", frame.eef.y),
-            ("object_x", frame.object.x),
-            ("object_y", frame.object.y),
-            ("object_theta", frame.object.theta),
+            ("object_x", object.x),
+            ("object_y", object.y),
+            ("object_theta", object.theta),
         ] {
             if !value.is_finite() {
                 return Err(SegmentError::NotFinite {
@@ -150,16 +159,18 @@ fn check_finite(episode: &PlanarEpisode) -> Result<(), SegmentError> {
 
 fn evidence(frame: &PlanarFrame, step: Option<&StepMotion>, config: &SegmentConfig) -> Evidence {
     let contacts = (!frame.contacts.is_nan()).then_some(frame.contacts);
+    let object = frame.known_object();
+    let with_object = step.filter(|step| !step.object_translation.is_nan());
     Evidence {
         contacts,
         contact: contacts.map(|count| count > 0.0),
         eef_step: step.map(|step| step.eef_translation),
-        object_step: step.map(|step| step.object_translation),
-        object_rotation: step.map(|step| step.object_rotation),
-        relative_translation: step.map(|step| step.relative_translation),
+        object_step: with_object.map(|step| step.object_translation),
+        object_rotation: with_object.map(|step| step.object_rotation),
+        relative_translation: with_object.map(|step| step.relative_translation),
         relative_rotation: step.and_then(|step| step.relative_rotation),
-        eef_object_distance: (frame.eef - frame.object.translation()).norm(),
-        object_moving: step.map(|step| step.object_moves(config)),
+        eef_object_distance: object.map(|object| (frame.eef - object.translation()).norm()),
+        object_moving: with_object.map(|step| step.object_moves(config)),
     }
 }
 
@@ -178,21 +189,25 @@ fn summary(segment: Segment, frames: &[PlanarFrame], steps: &[StepMotion], ancho
             .map(|frame| (eef_in_object(frame) - grasp).norm())
             .fold(0.0, f64::max)
     };
+    let known = reached.iter().all(|frame| frame.known_object().is_some());
     let displacement = match (reached.first(), reached.last()) {
         (Some(first), Some(last)) => (last.object.translation() - first.object.translation()).norm(),
         _ => 0.0,
+    };
+    let rotation = || {
+        steps
+            .iter()
+            .skip(range.start)
+            .take(range.len())
+            .map(|step| step.object_rotation)
+            .sum()
     };
     SegmentSummary {
         anchor,
         grasp,
         rigidity_residual: grasp.map(residual),
-        object_displacement: displacement,
-        object_rotation: steps
-            .iter()
-            .skip(range.start)
-            .take(range.len())
-            .map(|step| step.object_rotation)
-            .sum(),
+        object_displacement: known.then_some(displacement),
+        object_rotation: known.then(rotation),
         segment,
     }
 }

@@ -190,7 +190,7 @@ fn segments(modes: &Artifact, planar: bool) -> Result<Vec<Segment>> {
         let rows: Vec<SegmentRow<SegmentSummary>> = modes.read()?;
         let segments = rows.into_iter().map(|row| Segment {
             residual: row.summary.rigidity_residual,
-            object_displacement: row.summary.object_displacement,
+            object_displacement: row.summary.object_displacement.unwrap_or(f64::NAN),
             ..segment(row.episode, row.segment, &row.summary.segment)
         });
         return Ok(segments.collect());

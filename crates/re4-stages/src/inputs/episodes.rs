@@ -3,7 +3,6 @@
 use anyhow::Result;
 use re4_artifact::{Artifact, Row as _, columns};
 use re4_episode::{PlanarEpisode, PlanarFrame};
-use re4_fault::OrFault as _;
 use re4_geometry::{Point2, Pose2};
 use re4_ingest::{EpisodeRow, FrameRow, PlanarColumns};
 
@@ -28,6 +27,16 @@ columns! {
 /// # Errors
 /// If the artifact cannot be read, or a pose of the block is null.
 pub(crate) fn read_episodes(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
+    let episodes = read_frames(artifact)?;
+    let mut frames = episodes.iter().flat_map(|episode| &episode.frames);
+    if frames.any(|frame| frame.known_object().is_none()) {
+        return Err(super::demos::no_object(artifact.path()).into());
+    }
+    Ok(episodes)
+}
+
+/// Same as [`read_episodes`], but the pose of the block may be unknown.
+pub(crate) fn read_frames(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
     let mut episodes: Vec<PlanarEpisode> = artifact
         .read::<EpisodeRow>()?
         .into_iter()
@@ -46,7 +55,7 @@ pub(crate) fn read_episodes(artifact: &Artifact) -> Result<Vec<PlanarEpisode>> {
         };
         episode.frames.push(PlanarFrame {
             eef: row.eef,
-            object: row.object.or_fault(|| super::demos::no_object(artifact.path()))?,
+            object: row.object.unwrap_or(PlanarFrame::UNKNOWN),
             action: row.action,
             contacts: row.contacts.unwrap_or(f64::NAN),
         });

@@ -16,7 +16,7 @@ use re4_pose::{Estimate, Flag, PoseRow, between_clear};
 use re4_segment::{Evidence, ModeRow};
 use serde_json::json;
 
-use crate::inputs::episodes::read_episodes;
+use crate::inputs::episodes::{read_episodes, read_frames};
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
@@ -94,7 +94,12 @@ fn read_demos(
     let mut poses = estimated.map(Vec::into_iter);
     let mut blanks = Blanks::new();
     let (mut demos, mut indexed) = (Vec::new(), Vec::new());
-    for (number, mut episode) in (0..).zip(read_episodes(episodes)?) {
+    let recorded = if poses.is_some() {
+        read_frames(episodes)?
+    } else {
+        read_episodes(episodes)?
+    };
+    for (number, mut episode) in (0..).zip(recorded) {
         let count = episode.frames.len();
         let modes_of = labels
             .by_ref()

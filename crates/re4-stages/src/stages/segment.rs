@@ -10,11 +10,11 @@ use re4_segment::{
 use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::{SpatialEpisodes, in_batches};
-use crate::inputs::episodes::read_episodes;
+use crate::inputs::episodes::read_frames;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 3;
+const CODE_VERSION: u32 = 4;
 
 impl Runner {
     /// Makes the `modes` artifact, or returns the existing one.
@@ -28,7 +28,7 @@ impl Runner {
             .input("episodes", episodes.artifact.key());
         self.build(&recipe, |writer| {
             if self.pipeline.task.is_planar() {
-                let demos = read_episodes(&episodes.artifact)?;
+                let demos = read_frames(&episodes.artifact)?;
                 let segment = |demo: &_| segment_planar(demo, config);
                 self.write_modes(demos.len(), (0..).zip(demos).map(Ok), segment, PLANE, writer)
             } else {
