@@ -200,12 +200,12 @@ fn alternating_segments_are_recovered_exactly() {
     assert!((grasp.object.transform_point(held) - grasp.eef).norm() < 1e-9);
     // The segments together contain all motion of the object.
     let (first, last) = (s.frames[0].object, s.last().object);
-    let rotation: f64 = segmented.segments.iter().map(|f| f.object_rotation).sum();
+    let rotation: f64 = segmented.segments.iter().filter_map(|f| f.object_rotation).sum();
     assert!((rotation - (9.0 * 0.01 - 6.0 * 0.02)).abs() < 1e-9);
     assert!((re4_geometry::signed_difference(first.theta, last.theta) - rotation).abs() < 1e-9);
-    assert_eq!(segmented.segments[0].object_displacement, 0.0);
-    assert!((segmented.segments[2].object_displacement - 12.0).abs() < 1e-9);
-    assert!((segmented.segments[5].object_displacement - 3.0).abs() < 1e-9);
+    assert_eq!(segmented.segments[0].object_displacement, Some(0.0));
+    assert!((segmented.segments[2].object_displacement.unwrap() - 12.0).abs() < 1e-9);
+    assert!((segmented.segments[5].object_displacement.unwrap() - 3.0).abs() < 1e-9);
 }
 
 #[test]
@@ -214,11 +214,8 @@ fn rotations_of_more_than_pi_are_not_wrapped() {
     let eef = s.last().eef;
     s.carry(eef, 0.1, 0.0, 0.0, 100);
     let summary = &s.segment(&rigid()).segments[0];
-    assert!(
-        (summary.object_rotation - 10.0).abs() < 1e-9,
-        "{}",
-        summary.object_rotation
-    );
+    let rotation = summary.object_rotation.unwrap();
+    assert!((rotation - 10.0).abs() < 1e-9, "{rotation}");
 }
 
 #[test]
@@ -266,7 +263,7 @@ fn always_transit_keeps_the_evidence() {
     assert_eq!(contact, [Some(false), Some(false), Some(true), None, Some(false)]);
     let moving: Vec<_> = segmented.evidence.iter().map(|e| e.object_moving).collect();
     assert_eq!(moving, [Some(false), Some(false), Some(true), Some(true), None]);
-    assert!((segmented.evidence[0].eef_object_distance - 20_000_f64.sqrt()).abs() < 1e-9);
+    assert!((segmented.evidence[0].eef_object_distance.unwrap() - 20_000_f64.sqrt()).abs() < 1e-9);
 }
 
 #[test]
@@ -445,13 +442,13 @@ proptest! {
         for (p, q) in a.evidence.iter().zip(&b.evidence) {
             prop_assert!(near(p.eef_step, q.eef_step) && near(p.object_step, q.object_step));
             prop_assert!(near(p.object_rotation, q.object_rotation) && near(p.relative_translation, q.relative_translation));
-            prop_assert!(near(Some(p.eef_object_distance), Some(q.eef_object_distance)));
+            prop_assert!(near(p.eef_object_distance, q.eef_object_distance));
         }
         for (p, q) in a.segments.iter().zip(&b.segments) {
             prop_assert_eq!(&p.segment, &q.segment);
             prop_assert!(near(p.rigidity_residual, q.rigidity_residual));
-            prop_assert!(near(Some(p.object_displacement), Some(q.object_displacement)));
-            prop_assert!(near(Some(p.object_rotation), Some(q.object_rotation)));
+            prop_assert!(near(p.object_displacement, q.object_displacement));
+            prop_assert!(near(p.object_rotation, q.object_rotation));
             prop_assert!(p.grasp.zip(q.grasp).is_none_or(|(p, q)| (p - q).norm() < 1e-8));
             prop_assert!(p.anchor.zip(q.anchor).is_none_or(|(p, q)| (world.transform_point(p) - q).norm() < 1e-8));
         }
@@ -530,4 +527,48 @@ fn an_end_effector_that_rotates_relative_to_the_object_is_transit_in_se3() {
     let carried = pair(0.0, 0.0).step_to(&about_x);
     assert_eq!(carried.mode(&config), Transfer);
     assert!((carried.object_rotation - FRAC_PI_2).abs() < 1e-12);
+}
+
+#[test]
+fn a_block_of_unknown_pose_has_no_evidence() {
+    let mut scene = Scene::new(Point2::new(100.0, 100.0), PlanarFrame::UNKNOWN);
+    scene.reach(3.0, 4.0, 5);
+    let episode = PlanarEpisode {
+        source: 7,
+        frames: scene.frames,
+    };
+    let config = SegmentConfig {
+        rule: Rule::AlwaysTransit,
+        ..SegmentConfig::default()
+    };
+    let segmented = segment_planar(&episode, &config).unwrap();
+    assert_eq!(segmented.modes, [Transit; 6]);
+    for (frame, evidence) in segmented.evidence.iter().enumerate() {
+        assert_eq!(evidence.eef_step, (frame < 5).then_some(5.0));
+        assert_eq!(
+            (
+                evidence.object_step,
+                evidence.object_rotation,
+                evidence.relative_translation
+            ),
+            (None, None, None)
+        );
+        assert_eq!((evidence.eef_object_distance, evidence.object_moving), (None, None));
+    }
+    let [segment] = segmented.segments.as_slice() else {
+        panic!("{:?}", segmented.segments)
+    };
+    assert_eq!((segment.object_displacement, segment.object_rotation), (None, None));
+    let refused = segment_planar(&episode, &rigid()).unwrap_err();
+    assert_eq!(
+        refused.sentence(),
+        "cannot segment episode 7 by rigid motion: the pose of the block was not recorded; set segment.rule to always_transit"
+    );
+    // A single coordinate that is NaN is a fault, not an unknown pose.
+    let mut broken = episode;
+    broken.frames[2].object = Pose2::new(f64::NAN, 1.0, 0.0);
+    assert!(matches!(
+        segment_planar(&broken, &config).unwrap_err(),
+        SegmentError::NotFinite { frame: 2, .. }
+    ));
 }
