@@ -132,7 +132,10 @@ impl<'a> Output<'a> {
             for ((camera, (width, height)), images) in cameras.cameras.iter().zip(images) {
                 let declared = Declared {
                     name: image_name(self.inputs.task, camera),
-                    kind: FeatureKind::Image(*width, *height),
+                    kind: match self.request.images {
+                        Images::H264 => FeatureKind::Video(*width, *height),
+                        _ => FeatureKind::Image(*width, *height),
+                    },
                 };
                 columns.push((declared, Data::Images(images)));
             }

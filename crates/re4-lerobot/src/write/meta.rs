@@ -5,16 +5,17 @@ use std::sync::Arc;
 use arrow_array::builder::{
     BooleanBuilder, Float64Builder, Int64Builder, ListBuilder, StringBuilder,
 };
-use arrow_array::{ArrayRef, Int64Array, RecordBatch, StringArray};
+use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow_schema::{DataType, Field, Fields, Schema, SchemaRef};
 use serde_json::{Map, Value, json};
 
 use super::folder::Staging;
 use super::stats::Stats;
 use super::tables::{Table, properties};
+use super::video::VideoPlace;
 use super::{Declaration, EpisodeValue, FeatureKind, Number, WriteError, names};
 use crate::info::{BOOKKEEPING, Version};
-use crate::meta::{EPISODES_V2, EPISODES_V3, TASKS_V2, TASKS_V3};
+use crate::meta::{EPISODES_V2, EPISODES_V3, TASKS_V2, TASKS_V3, video_column};
 
 /// Statistics by episode, v2.1.
 const EPISODE_STATS_V2: &str = "meta/episodes_stats.jsonl";
@@ -29,6 +30,8 @@ pub(super) struct Row {
     pub(super) length: usize,
     /// Chunk and file of its frames.
     pub(super) data: [usize; 2],
+    /// Its frames in the videos, camera by camera.
+    pub(super) videos: Vec<VideoPlace>,
     /// Its first row in the whole dataset.
     pub(super) from: usize,
     pub(super) values: Vec<EpisodeValue>,
@@ -41,6 +44,8 @@ pub(super) struct Episodes {
     version: Version,
     /// Names of all features.
     features: Vec<String>,
+    /// Names of the features that are videos.
+    videos: Vec<String>,
     columns: Vec<String>,
     count: usize,
     rows: Vec<Row>,
@@ -54,6 +59,12 @@ impl Episodes {
         Self {
             version: declared.version,
             features: names(declared).map(str::to_owned).collect(),
+            videos: declared
+                .features
+                .iter()
+                .filter(|of| matches!(of.kind, FeatureKind::Video(..)))
+                .map(|of| of.name.clone())
+                .collect(),
             columns: declared.columns.clone(),
             count: 0,
             rows: Vec::new(),
@@ -153,6 +164,18 @@ impl Episodes {
             ("dataset_from_index".to_owned(), whole(&|row| row.from)),
             ("dataset_to_index".to_owned(), whole(&|row| row.from + row.length)),
         ];
+        for (camera, name) in self.videos.iter().enumerate() {
+            let place = |row: &Row| row.videos.get(camera).copied();
+            let number = |part: usize| whole(&|row| place(row).map_or(0, |place| place.file[part]));
+            let time = |part: usize| -> ArrayRef {
+                let times = self.rows.iter().map(|row| place(row).map_or(0.0, |place| place.times[part]));
+                Arc::new(Float64Array::from_iter_values(times))
+            };
+            all.push((video_column(name, "chunk_index"), number(0)));
+            all.push((video_column(name, "file_index"), number(1)));
+            all.push((video_column(name, "from_timestamp"), time(0)));
+            all.push((video_column(name, "to_timestamp"), time(1)));
+        }
         for (number, name) in self.columns.iter().enumerate() {
             all.push((name.clone(), self.values(number)));
         }
@@ -274,10 +297,10 @@ pub(super) fn tasks(staging: &Staging, version: Version, tasks: &[String]) -> Re
     table.close(staging)
 }
 
-/// The contents of `info.json`.
-pub(super) fn info(declared: &Declaration, episodes: usize, frames: usize, tasks: usize) -> Value {
+/// The contents of `info.json`, with the numbers of episodes, frames, tasks and videos.
+pub(super) fn info(declared: &Declaration, [episodes, frames, tasks, videos]: [usize; 4]) -> Value {
     let v2 = declared.version == Version::V2;
-    let (data_path, _) = declared.version.patterns();
+    let (data_path, video_path) = declared.version.patterns();
     let mut info = json!({
         "codebase_version": if v2 { "v2.1" } else { "v3.0" },
         "robot_type": declared.robot,
@@ -287,27 +310,27 @@ pub(super) fn info(declared: &Declaration, episodes: usize, frames: usize, tasks
         "chunks_size": declared.limits.chunk,
     });
     if v2 {
-        info["total_videos"] = json!(0);
+        info["total_videos"] = json!(videos);
         info["total_chunks"] = json!(episodes.div_ceil(declared.limits.chunk.max(1)));
     } else {
         info["data_files_size_in_mb"] = json!(declared.limits.data_bytes >> 20);
-        info["video_files_size_in_mb"] = json!(200);
+        info["video_files_size_in_mb"] = json!(declared.limits.video_bytes >> 20);
     }
     info["fps"] = json!(declared.fps);
     info["splits"] = json!({ "train": format!("0:{episodes}") });
     info["data_path"] = json!(data_path);
-    info["video_path"] = Value::Null;
-    let own = declared.features.iter().map(|of| (of.name.clone(), feature(&of.kind)));
+    info["video_path"] = if videos > 0 { json!(video_path) } else { Value::Null };
+    let own = declared.features.iter().map(|of| (of.name.clone(), feature(&of.kind, declared.fps)));
     let more = BOOKKEEPING.map(|name| {
         let number = if name == "timestamp" { Number::Single } else { Number::Integer };
-        (name.to_owned(), feature(&FeatureKind::Scalar(number)))
+        (name.to_owned(), feature(&FeatureKind::Scalar(number), declared.fps))
     });
     info["features"] = Value::Object(own.chain(more).collect());
     info["re4"] = Value::Object(declared.about.clone());
     info
 }
 
-fn feature(kind: &FeatureKind) -> Value {
+fn feature(kind: &FeatureKind, fps: usize) -> Value {
     let dtype = |number: &Number| match number {
         Number::Single => "float32",
         Number::Double => "float64",
@@ -320,5 +343,20 @@ fn feature(kind: &FeatureKind) -> Value {
         FeatureKind::Image(width, height) => {
             json!({ "dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"] })
         }
+        FeatureKind::Video(width, height) => json!({
+            "dtype": "video",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": height,
+                "video.width": width,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": false,
+                "video.fps": fps,
+                "video.channels": 3,
+                "has_audio": false,
+            },
+        }),
     }
 }

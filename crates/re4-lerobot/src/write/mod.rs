@@ -11,6 +11,7 @@ mod folder;
 mod meta;
 mod stats;
 mod tables;
+mod video;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -22,6 +23,7 @@ use self::folder::Staging;
 use self::meta::{Episodes, Row};
 use self::stats::{Levels, Moments, Stats, Total};
 use self::tables::DataFiles;
+use self::video::Videos;
 use crate::dataset::{Cameras, Dataset};
 use crate::info::{BOOKKEEPING, Version};
 use crate::video::Stop;
@@ -50,6 +52,8 @@ pub struct Declaration {
 pub struct Limits {
     /// Size of a table of data, in bytes. A file contains whole episodes and is therefore somewhat larger.
     pub data_bytes: u64,
+    /// Size of a video, in bytes. A video is also shorter than 1024 s.
+    pub video_bytes: u64,
     /// Files (v3.0) or episodes (v2.1) of a folder.
     pub chunk: usize,
 }
@@ -59,6 +63,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             data_bytes: 100 << 20,
+            video_bytes: 200 << 20,
             chunk: 1000,
         }
     }
@@ -82,14 +87,16 @@ pub enum FeatureKind {
     Vector(Number, Vec<String>),
     /// PNG images with this width and height, pixels.
     Image(usize, usize),
+    /// PNG images with this width and height, which are encoded as a video. Both are even.
+    Video(usize, usize),
 }
 
 impl FeatureKind {
-    /// Number of values of a frame; 1 for images.
+    /// Number of values of a frame; 1 for images and videos.
     fn width(&self) -> usize {
         match self {
             Self::Vector(_, names) => names.len(),
-            Self::Scalar(_) | Self::Image(..) => 1,
+            Self::Scalar(_) | Self::Image(..) | Self::Video(..) => 1,
         }
     }
 }
@@ -193,6 +200,7 @@ pub struct Writer {
     declared: Declaration,
     staging: Staging,
     data: DataFiles,
+    videos: Videos,
     episodes: Episodes,
     tasks: Vec<String>,
     totals: Vec<Option<Total>>,
@@ -208,8 +216,11 @@ impl Writer {
     pub fn create(path: &Path, declared: Declaration) -> Result<Self, WriteError> {
         let mut names: BTreeSet<&str> = BOOKKEEPING.into();
         for feature in &declared.features {
+            let odd = matches!(feature.kind, FeatureKind::Video(width, height) if width % 2 + height % 2 > 0);
             let what = if feature.name.is_empty() || feature.name.contains('/') {
                 "its name is empty or contains a slash"
+            } else if odd {
+                "a video needs an even width and height"
             } else if names.insert(&feature.name) {
                 continue;
             } else {
@@ -224,6 +235,7 @@ impl Writer {
         let staging = Staging::create(path)?;
         Ok(Self {
             data: DataFiles::new(&declared),
+            videos: Videos::new(&declared),
             episodes: Episodes::new(&declared),
             totals: vec![None; declared.features.len() + BOOKKEEPING.len()],
             declared,
@@ -251,11 +263,13 @@ impl Writer {
         let bookkeeping = self.bookkeeping(index, length, task);
         let stats = self.stats(index, episode, &bookkeeping)?;
         let place = self.data.add(&self.staging, index, episode, &bookkeeping)?;
+        let videos = self.videos.add(&self.staging, index, episode)?;
         let row = Row {
             index,
             task: episode.task.clone(),
             length,
             data: place,
+            videos,
             from: self.frames,
             values: episode.values.clone(),
             stats,
@@ -277,9 +291,10 @@ impl Writer {
             });
         }
         self.data.close(&self.staging)?;
+        self.videos.close(&self.staging)?;
         self.episodes.close(&self.staging)?;
         meta::tasks(&self.staging, self.declared.version, &self.tasks)?;
-        let info = meta::info(&self.declared, count, self.frames, self.tasks.len());
+        let info = meta::info(&self.declared, [count, self.frames, self.tasks.len(), self.videos.files()]);
         self.staging.write_json("meta/info.json", &info)?;
         self.verify(stop)?;
         let bytes = self.staging.publish()?;
@@ -321,7 +336,7 @@ impl Writer {
         for (Declared { name, kind }, data) in declared.iter().zip(&episode.data) {
             let number = match kind {
                 FeatureKind::Scalar(number) | FeatureKind::Vector(number, _) => Some(*number),
-                FeatureKind::Image(..) => None,
+                FeatureKind::Image(..) | FeatureKind::Video(..) => None,
             };
             if data.number() != number {
                 return Err(refuse(name, "its values have another type than declared".to_owned(), BUG));
@@ -336,7 +351,7 @@ impl Writer {
                 let what = format!("frame {} has a value that is not a finite number", at / width.max(1));
                 return Err(refuse(name, what, "leave the episode out, or correct its source"));
             }
-            if let (FeatureKind::Image(width, height), Data::Images(images)) = (kind, data)
+            if let (FeatureKind::Image(width, height) | FeatureKind::Video(width, height), Data::Images(images)) = (kind, data)
                 && let Some((at, found)) = other_size(images, (*width, *height))
             {
                 let what = match found {

@@ -75,6 +75,8 @@ pub(super) struct DataFiles {
     version: Version,
     schema: SchemaRef,
     properties: WriterProperties,
+    /// Whether each feature is a column.
+    columns: Vec<bool>,
     limit: u64,
     chunk: usize,
     open: Option<Table>,
@@ -84,7 +86,7 @@ pub(super) struct DataFiles {
 
 impl DataFiles {
     pub(super) fn new(declared: &Declaration) -> Self {
-        let own = declared.features.iter().map(field);
+        let own = declared.features.iter().filter(|feature| is_column(feature)).map(field);
         let more = BOOKKEEPING.map(|name| match name {
             "timestamp" => Field::new(name, DataType::Float32, false),
             _ => Field::new(name, DataType::Int64, false),
@@ -104,6 +106,7 @@ impl DataFiles {
             version: declared.version,
             schema: Arc::new(Schema::new(own.chain(more).collect::<Fields>())),
             properties: properties.build(),
+            columns: declared.features.iter().map(is_column).collect(),
             limit: declared.limits.data_bytes,
             chunk: declared.limits.chunk.max(1),
             open: None,
@@ -119,7 +122,8 @@ impl DataFiles {
         episode: &NewEpisode,
         bookkeeping: &[Data; 5],
     ) -> Result<[usize; 2], WriteError> {
-        let all = episode.data.iter().chain(bookkeeping).zip(self.schema.fields());
+        let own = episode.data.iter().zip(&self.columns).filter(|(_, column)| **column);
+        let all = own.map(|(data, _)| data).chain(bookkeeping).zip(self.schema.fields());
         let arrays: Vec<ArrayRef> = all.map(|(data, field)| array(data, field)).collect();
         // The schema is made from the same declaration that the episode was checked against.
         let batch = RecordBatch::try_new(Arc::clone(&self.schema), arrays)
@@ -160,6 +164,11 @@ fn data_type(number: Number) -> DataType {
     }
 }
 
+/// Whether a feature is a column; videos are not.
+fn is_column(feature: &Declared) -> bool {
+    !matches!(feature.kind, FeatureKind::Video(..))
+}
+
 fn image_fields() -> Fields {
     Fields::from(vec![
         Field::new("bytes", DataType::Binary, true),
@@ -174,7 +183,7 @@ fn field(feature: &Declared) -> Field {
             let element = Arc::new(Field::new("element", data_type(*number), true));
             DataType::FixedSizeList(element, names.len() as i32)
         }
-        FeatureKind::Image(..) => DataType::Struct(image_fields()),
+        FeatureKind::Image(..) | FeatureKind::Video(..) => DataType::Struct(image_fields()),
     };
     Field::new(&feature.name, data_type, true)
 }
