@@ -88,15 +88,23 @@ fn demonstrations_of_pusht_are_equal_in_both_versions_of_lerobot() {
     let images: Vec<ImageRow> = artifact.read().unwrap();
     for (format, jobs) in [("lerobot", 1), ("lerobot-v2.1", 2)] {
         let answer = place
-            .run(&format!("export {episodes} {format} --format {format} --modes {modes} --jobs {jobs} --json"))
+            .run(&format!(
+                "export {episodes} {format} --format {format} --modes {modes} --jobs {jobs} --json"
+            ))
             .done()
             .json();
-        assert_eq!((&answer["episodes"], &answer["frames"]), (&12.into(), &rows.len().into()));
+        assert_eq!(
+            (&answer["episodes"], &answer["frames"]),
+            (&12.into(), &rows.len().into())
+        );
         let dataset = open(&place.path().join(format));
         assert!(dataset.notes().is_empty(), "{:?}", dataset.notes());
         let eef = flat(&rows, |frame| [frame.eef.x, frame.eef.y]);
         assert_eq!(column(&dataset, "observation.state"), single(eef));
-        assert_eq!(column(&dataset, "action"), single(flat(&rows, |frame| [frame.action.x, frame.action.y])));
+        assert_eq!(
+            column(&dataset, "action"),
+            single(flat(&rows, |frame| [frame.action.x, frame.action.y]))
+        );
         let poses = flat(&rows, |frame| {
             let pose = frame.object.unwrap();
             [pose.x, pose.y, pose.theta]
@@ -108,7 +116,10 @@ fn demonstrations_of_pusht_are_equal_in_both_versions_of_lerobot() {
         // The reward of a frame is the coverage of the next one, by the episode.
         let rewards = column(&dataset, "next.reward");
         for (at, row) in rows.iter().enumerate() {
-            let next = rows.get(at + 1).filter(|next| next.episode == row.episode).unwrap_or(row);
+            let next = rows
+                .get(at + 1)
+                .filter(|next| next.episode == row.episode)
+                .unwrap_or(row);
             let coverage = re4_sim::coverage(next.recorded.object.unwrap(), re4_sim::GOAL);
             assert_eq!(rewards[at], f64::from((coverage / 0.95).min(1.0) as f32));
         }
@@ -119,12 +130,15 @@ fn demonstrations_of_pusht_are_equal_in_both_versions_of_lerobot() {
             .collect();
         assert_eq!(expected.len(), rows.len() * SIDE * SIDE * 3);
         assert_eq!(decoded, expected);
-        let info: Value = serde_json::from_slice(&fs::read(place.path().join(format).join("meta/info.json")).unwrap()).unwrap();
+        let info: Value =
+            serde_json::from_slice(&fs::read(place.path().join(format).join("meta/info.json")).unwrap()).unwrap();
         assert_eq!(info["re4"]["key"], artifact.key().to_string());
         assert_eq!(info["fps"], 10);
     }
     // The same bytes on another run with other threads.
-    place.run(&format!("export {episodes} again --modes {modes} --jobs 2")).done();
+    place
+        .run(&format!("export {episodes} again --modes {modes} --jobs 2"))
+        .done();
     assert!(contents(&place.path().join("lerobot")) == contents(&place.path().join("again")));
     assert!(place.temporaries().is_empty());
 }
@@ -132,7 +146,9 @@ fn demonstrations_of_pusht_are_equal_in_both_versions_of_lerobot() {
 #[test]
 fn the_zarr_store_has_the_same_episodes() {
     let (place, episodes, _) = segmented();
-    place.run(&format!("export {episodes} data/again.zarr --format pusht-zarr")).done();
+    place
+        .run(&format!("export {episodes} data/again.zarr --format pusht-zarr"))
+        .done();
     let pipeline = fs::read_to_string(place.path().join("small.toml")).unwrap();
     place.write("again.toml", pipeline.replace("small.zarr", "again.zarr"));
     place.run("ingest again.toml --artifacts other").done();
@@ -143,8 +159,19 @@ fn the_zarr_store_has_the_same_episodes() {
         .find(|path| path.is_dir());
     let (before, after) = (read(place.path().join(&episodes)), read(other.unwrap()));
     // Keypoints of a recording are those of the pose.
-    let same = |row: &FrameRow<PlanarColumns>| (row.episode, row.frame, row.recorded.eef, row.recorded.object, row.recorded.action);
-    assert_eq!(before.iter().map(same).collect::<Vec<_>>(), after.iter().map(same).collect::<Vec<_>>());
+    let same = |row: &FrameRow<PlanarColumns>| {
+        (
+            row.episode,
+            row.frame,
+            row.recorded.eef,
+            row.recorded.object,
+            row.recorded.action,
+        )
+    };
+    assert_eq!(
+        before.iter().map(same).collect::<Vec<_>>(),
+        after.iter().map(same).collect::<Vec<_>>()
+    );
 }
 
 #[test]
@@ -158,7 +185,10 @@ fn rollouts_are_exported_with_their_decisions() {
     place.run(&format!("export {folder} out --float64")).done();
     let dataset = open(&place.path().join("out"));
     let lengths: Vec<usize> = dataset.episodes().iter().map(|episode| episode.length).collect();
-    assert_eq!(lengths, results.iter().map(|row| row.core.steps as usize).collect::<Vec<_>>());
+    assert_eq!(
+        lengths,
+        results.iter().map(|row| row.core.steps as usize).collect::<Vec<_>>()
+    );
     let actions: Vec<f64> = steps.iter().flat_map(|step| [step.action.x, step.action.y]).collect();
     assert_eq!(column(&dataset, "action"), actions);
     let states = column(&dataset, "observation.state");
@@ -172,9 +202,15 @@ fn rollouts_are_exported_with_their_decisions() {
     place.write("keep.txt", "# two\nseed 501\n\nseed 504\n");
     place.run(&format!("export {folder} two --keep keep.txt")).done();
     let two = open(&place.path().join("two"));
-    assert_eq!(two.episodes().iter().map(|episode| episode.length).collect::<Vec<_>>(), [lengths[1], lengths[4]]);
+    assert_eq!(
+        two.episodes().iter().map(|episode| episode.length).collect::<Vec<_>>(),
+        [lengths[1], lengths[4]]
+    );
     let refused = place.run(&format!("export {folder} three --modes {folder}")).refused();
-    assert!(refused.contains("modes and poses are those of demonstrations"), "{refused}");
+    assert!(
+        refused.contains("modes and poses are those of demonstrations"),
+        "{refused}"
+    );
 }
 
 #[test]
@@ -186,13 +222,19 @@ fn what_cannot_be_exported_is_refused_and_leaves_nothing() {
     let message = refused(&format!("{episodes} out --keep keep.txt"));
     assert!(message.contains("names \"episode 99\""), "{message}");
     let message = refused(&format!("{modes} out"));
-    assert!(message.contains("an artifact of kind modes, not episodes or rollouts"), "{message}");
+    assert!(
+        message.contains("an artifact of kind modes, not episodes or rollouts"),
+        "{message}"
+    );
     let message = refused(&format!("{episodes} out --modes {episodes}"));
     assert!(message.contains("it is an artifact of kind episodes"), "{message}");
     let message = refused(&format!("{episodes} out --format robomimic"));
     assert!(message.contains("is that of robosuite's tasks"), "{message}");
     let message = refused(&format!("{episodes} data"));
-    assert!(message.contains("that path exists and is not an empty folder"), "{message}");
+    assert!(
+        message.contains("that path exists and is not an empty folder"),
+        "{message}"
+    );
     let message = refused(&format!("{episodes} {episodes}/out"));
     assert!(message.contains("is inside the artifact"), "{message}");
     let message = refused(&format!("{episodes} no/out"));
@@ -227,10 +269,16 @@ fn a_killed_export_leaves_nothing_at_the_path() {
 /// The sample of Can, ingested with states.
 fn can(place: &Place, source: &Path, artifacts: &str) -> Artifact {
     let pipeline = fs::read_to_string(repository().join("pipelines/can-sample-audit.toml")).unwrap();
-    place.write("can.toml", pipeline.replace("can-sample.hdf5", source.to_str().unwrap()));
+    place.write(
+        "can.toml",
+        pipeline.replace("can-sample.hdf5", source.to_str().unwrap()),
+    );
     place.run(&format!("segment can.toml --artifacts {artifacts}")).done();
     let folder = place.path().join(artifacts).join("episodes");
-    let found = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).find(|path| path.is_dir());
+    let found = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| path.is_dir());
     Artifact::open(&found.unwrap()).unwrap()
 }
 
@@ -240,7 +288,13 @@ fn the_hdf5_file_has_the_same_episodes() {
     let first = can(&place, &repository().join("data/can-sample.hdf5"), "one");
     let out = place.path().join("out.hdf5");
     let export = |out: &Path| {
-        let arguments = ["export", first.path().to_str().unwrap(), out.to_str().unwrap(), "--format", "robomimic"];
+        let arguments = [
+            "export",
+            first.path().to_str().unwrap(),
+            out.to_str().unwrap(),
+            "--format",
+            "robomimic",
+        ];
         place.run_each(&arguments)
     };
     export(&out).done();
@@ -252,7 +306,12 @@ fn the_hdf5_file_has_the_same_episodes() {
     let frames = |artifact: &Artifact| artifact.read::<FrameRow<SpatialColumns>>().unwrap();
     assert_eq!(frames(&first), frames(&second));
     let demos = |artifact: &Artifact| artifact.read::<re4_artifact::episodes::DemoRow>().unwrap();
-    let names = |artifact: &Artifact| demos(artifact).into_iter().map(|row| (row.demo, row.filter_keys)).collect::<Vec<_>>();
+    let names = |artifact: &Artifact| {
+        demos(artifact)
+            .into_iter()
+            .map(|row| (row.demo, row.filter_keys))
+            .collect::<Vec<_>>()
+    };
     assert_eq!(names(&first), names(&second));
     if first.has::<StateRow>() {
         let states = |artifact: &Artifact| artifact.read::<StateRow>().unwrap();
@@ -278,7 +337,10 @@ fn the_hdf5_file_has_the_same_episodes() {
         print(len(demos))\n";
     let output = Command::new(python).args(["-c", program]).arg(&out).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), names(&first).len().to_string());
+    assert_eq!(
+        String::from_utf8_lossy(&output.stdout).trim(),
+        names(&first).len().to_string()
+    );
 }
 
 #[test]
@@ -295,7 +357,17 @@ fn demonstrations_in_space_are_equal_in_lerobot() {
         .flat_map(|row| {
             let (pose, q) = (row.recorded.eef, row.recorded.eef.rotation.coords);
             let [first, second] = row.recorded.fingers;
-            [pose.translation.x, pose.translation.y, pose.translation.z, q.x, q.y, q.z, q.w, first, second]
+            [
+                pose.translation.x,
+                pose.translation.y,
+                pose.translation.z,
+                q.x,
+                q.y,
+                q.z,
+                q.w,
+                first,
+                second,
+            ]
         })
         .collect();
     assert_eq!(column(&dataset, "observation.state"), state);
@@ -323,7 +395,9 @@ fn human_demonstrations_equal_a_foreign_dataset() {
     let place = Place::empty();
     let pipeline = fs::read_to_string(place.path().join("small.toml")).unwrap();
     place.write("human.toml", pipeline.replace("small.zarr", source.to_str().unwrap()));
-    place.run_each(&["ingest", "human.toml", "--set", "ingest.select={first=3}"]).done();
+    place
+        .run_each(&["ingest", "human.toml", "--set", "ingest.select={first=3}"])
+        .done();
     let folder = format!("artifacts/episodes/{}", place.artifact(Stage::Ingest).key().short());
     place.run(&format!("export {folder} out")).done();
     let (own, foreign) = (open(&place.path().join("out")), open(&foreign));

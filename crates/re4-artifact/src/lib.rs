@@ -69,7 +69,8 @@ pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableSummary};
 pub use reader::{Artifact, Batches, Table};
 pub use rows::{
-    ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either, trimmed,
+    ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either,
+    trimmed,
 };
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;

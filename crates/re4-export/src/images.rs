@@ -54,7 +54,10 @@ impl Cameras {
     /// The images of a demonstration from each camera.
     pub(crate) fn of(&self, number: u32) -> Result<Vec<Vec<Vec<u8>>>> {
         let frames = self.starts.last().copied().unwrap_or(0);
-        let place = self.starts.get(number as usize).zip(self.starts.get(number as usize + 1));
+        let place = self
+            .starts
+            .get(number as usize)
+            .zip(self.starts.get(number as usize + 1));
         let Some((&first, &end)) = place else {
             bail!("there are no images of demonstration {number}"; "ingest the dataset again");
         };

@@ -69,7 +69,10 @@ impl Inputs {
         );
         artifact.verify_bytes()?;
         let of_same = |path: Option<&Path>, stage| path.map(|path| of_same(path, stage, &artifact)).transpose();
-        let (modes, poses) = (of_same(request.modes, Stage::Segment)?, of_same(request.poses, Stage::TrainPose)?);
+        let (modes, poses) = (
+            of_same(request.modes, Stage::Segment)?,
+            of_same(request.poses, Stage::TrainPose)?,
+        );
         let mut inputs = Self {
             kind,
             modes,
@@ -100,10 +103,17 @@ impl Inputs {
     /// Names of the demonstrations, by their number in the artifact.
     pub(crate) fn demo_names(&self) -> Result<Vec<String>> {
         if self.artifact.has::<DemoRow>() {
-            return Ok(self.artifact.read::<DemoRow>()?.into_iter().map(|row| row.demo).collect());
+            return Ok(self
+                .artifact
+                .read::<DemoRow>()?
+                .into_iter()
+                .map(|row| row.demo)
+                .collect());
         }
         let rows = self.artifact.read::<EpisodeRow>()?.into_iter();
-        Ok(rows.map(|row| episode_name(row.source_episode.unwrap_or(row.episode))).collect())
+        Ok(rows
+            .map(|row| episode_name(row.source_episode.unwrap_or(row.episode)))
+            .collect())
     }
 
     /// Whether an episode is exported. `success` is that of a rollout.

@@ -90,7 +90,9 @@ pub(crate) fn read(inputs: &Inputs, mut take: impl FnMut(Take<PlaneFrame>) -> Re
 fn rollouts(inputs: &Inputs, mut take: impl FnMut(Take<PlaneFrame>) -> Result<()>) -> Result<()> {
     let artifact = &inputs.artifact;
     let mut steps = artifact.table(PlaneStepRow::table())?.stream::<PlaneStepRow>()?;
-    let mut decisions = artifact.table(PlaneDecisionRow::table())?.stream::<PlaneDecisionRow>()?;
+    let mut decisions = artifact
+        .table(PlaneDecisionRow::table())?
+        .stream::<PlaneDecisionRow>()?;
     for result in artifact.table(PlaneResultRow::table())?.stream::<PlaneResultRow>()? {
         let result = result?;
         let core = result.core;

@@ -51,7 +51,9 @@ pub(crate) fn read(inputs: &Inputs, mut take: impl FnMut(Take<SpaceFrame>) -> Re
 fn rollouts(inputs: &Inputs, mut take: impl FnMut(Take<SpaceFrame>) -> Result<()>) -> Result<()> {
     let artifact = &inputs.artifact;
     let mut steps = artifact.table(SpaceStepRow::table())?.stream::<SpaceStepRow>()?;
-    let mut decisions = artifact.table(SpaceDecisionRow::table())?.stream::<SpaceDecisionRow>()?;
+    let mut decisions = artifact
+        .table(SpaceDecisionRow::table())?
+        .stream::<SpaceDecisionRow>()?;
     for result in artifact.table(SpaceResultRow::table())?.stream::<SpaceResultRow>()? {
         let result = result?;
         let core = result.core;

@@ -73,8 +73,14 @@ impl Hdf5Writer {
     /// Writes a dataset. The product of `shape` is the number of values.
     pub(crate) fn dataset(&mut self, values: &Values<'_>, shape: &[usize]) -> io::Result<Object> {
         let (data_type, bytes) = match values {
-            Values::F64(values) => (F64.to_vec(), values.iter().flat_map(|value| value.to_le_bytes()).collect()),
-            Values::I64(values) => (I64.to_vec(), values.iter().flat_map(|value| value.to_le_bytes()).collect()),
+            Values::F64(values) => (
+                F64.to_vec(),
+                values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            ),
+            Values::I64(values) => (
+                I64.to_vec(),
+                values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            ),
             Values::U8(values) => (U8.to_vec(), values.to_vec()),
             Values::Names(names) => fixed(names),
         };
@@ -152,7 +158,8 @@ impl Hdf5Writer {
         for (kind, data) in messages {
             let mut data = data.clone();
             pad(&mut data);
-            let size = u16::try_from(data.len()).map_err(|_| io::Error::other("a message of an HDF5 header is too long"))?;
+            let size =
+                u16::try_from(data.len()).map_err(|_| io::Error::other("a message of an HDF5 header is too long"))?;
             body.extend(kind.to_le_bytes());
             body.extend(size.to_le_bytes());
             // Types of values never change, which the library states so.
@@ -251,7 +258,11 @@ impl Hdf5Writer {
             node.push(level);
             node.extend((part.len() as u16).to_le_bytes());
             let left = number.checked_sub(1).map_or(NOWHERE, address);
-            let right = if number + 1 < parts.len() { address(number + 1) } else { NOWHERE };
+            let right = if number + 1 < parts.len() {
+                address(number + 1)
+            } else {
+                NOWHERE
+            };
             for number in [left, right, first] {
                 node.extend(number.to_le_bytes());
             }
@@ -327,7 +338,10 @@ mod tests {
             std::fs::read(path).unwrap()
         };
         let first = write();
-        assert_eq!(first.len() as u64, u64::from_le_bytes(first[40..48].try_into().unwrap()));
+        assert_eq!(
+            first.len() as u64,
+            u64::from_le_bytes(first[40..48].try_into().unwrap())
+        );
         assert_eq!(first, write());
     }
 }

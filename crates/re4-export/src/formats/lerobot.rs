@@ -91,7 +91,12 @@ impl<'a> Output<'a> {
         let cameras = if wanted { Cameras::open(&inputs.artifact)? } else { None };
         let mut filter_keys = None;
         if demonstrations && inputs.artifact.has::<DemoRow>() {
-            let keys: Vec<String> = inputs.artifact.read::<DemoRow>()?.into_iter().map(|row| row.filter_keys).collect();
+            let keys: Vec<String> = inputs
+                .artifact
+                .read::<DemoRow>()?
+                .into_iter()
+                .map(|row| row.filter_keys)
+                .collect();
             filter_keys = Some(keys).filter(|keys| keys.iter().any(|keys| !keys.is_empty()));
         }
         Ok(Self {
@@ -144,12 +149,19 @@ impl<'a> Output<'a> {
         let values = self.values(take);
         if self.writer.is_none() {
             let columns = values.iter().map(|(name, _)| (*name).to_owned()).collect();
-            self.writer = Some(Writer::create(self.request.out, self.declaration(declared.clone(), columns))?);
+            self.writer = Some(Writer::create(
+                self.request.out,
+                self.declaration(declared.clone(), columns),
+            )?);
             self.features.clone_from(&declared);
         }
         let names = |of: &[Declared]| of.iter().map(|feature| feature.name.clone()).collect::<Vec<_>>();
         let (first, own) = (names(&self.features), names(&declared));
-        if let Some(missing) = first.iter().find(|name| !own.contains(name)).or(own.iter().find(|name| !first.contains(name))) {
+        if let Some(missing) = first
+            .iter()
+            .find(|name| !own.contains(name))
+            .or(own.iter().find(|name| !first.contains(name)))
+        {
             bail!(
                 "cannot export {}: only some of its episodes have {missing}, and {} differs from the first one",
                 self.inputs.artifact.path().display(), take.name;
@@ -185,7 +197,9 @@ impl<'a> Output<'a> {
 
     fn declaration(&self, features: Vec<Declared>, columns: Vec<String>) -> Declaration {
         let manifest = self.inputs.artifact.manifest();
-        let rate = manifest.source["rate"].as_f64().filter(|rate| *rate >= 1.0 && rate.fract() == 0.0);
+        let rate = manifest.source["rate"]
+            .as_f64()
+            .filter(|rate| *rate >= 1.0 && rate.fract() == 0.0);
         let mut about = self.inputs.about(self.request);
         if self.beside.modes.is_some() {
             about.insert("modes".to_owned(), json!(Mode::ALL.map(Mode::as_str)));
@@ -200,7 +214,12 @@ impl<'a> Output<'a> {
                 _ => Version::V3,
             },
             fps: rate.map_or(self.inputs.task.control_rate(), |rate| rate as usize),
-            robot: if self.inputs.task == Task::PushT { "2d pointer" } else { "panda" }.to_owned(),
+            robot: if self.inputs.task == Task::PushT {
+                "2d pointer"
+            } else {
+                "panda"
+            }
+            .to_owned(),
             features,
             columns,
             about,
@@ -239,7 +258,9 @@ impl<'a> Output<'a> {
         if self.inputs.kind == Kind::Rollouts {
             notes.push("the rollouts have no images".to_owned());
             if self.inputs.task != Task::PushT {
-                notes.push("the first step of each rollout is left out, because the pose before it is not recorded".to_owned());
+                notes.push(
+                    "the first step of each rollout is left out, because the pose before it is not recorded".to_owned(),
+                );
             }
         }
         Ok(Exported {
@@ -273,13 +294,25 @@ const PLANAR_POSE: [&str; 3] = ["x", "y", "theta"];
 fn scalar(name: &str, data: Data) -> Column {
     let number = number_of(&data);
     let kind = FeatureKind::Scalar(number);
-    (Declared { name: name.to_owned(), kind }, data)
+    (
+        Declared {
+            name: name.to_owned(),
+            kind,
+        },
+        data,
+    )
 }
 
 fn vector(name: &str, names: &[&str], data: Data) -> Column {
     let names = names.iter().map(|name| (*name).to_owned()).collect();
     let kind = FeatureKind::Vector(number_of(&data), names);
-    (Declared { name: name.to_owned(), kind }, data)
+    (
+        Declared {
+            name: name.to_owned(),
+            kind,
+        },
+        data,
+    )
 }
 
 fn number_of(data: &Data) -> Number {
@@ -321,7 +354,13 @@ fn planar_columns(take: &Take<PlaneFrame>, single: bool) -> Vec<Column> {
     // The last frame has no next one, so that its values are those of the one before: two are true.
     let last = frames.len().saturating_sub(2);
     let rolled = take.rolled.is_some();
-    let done = (0..frames.len()).map(|frame| if rolled { frame + 1 == frames.len() } else { frame >= last });
+    let done = (0..frames.len()).map(|frame| {
+        if rolled {
+            frame + 1 == frames.len()
+        } else {
+            frame >= last
+        }
+    });
     columns.push(scalar("next.done", Data::Truth(done.collect())));
     if let Some(objects) = objects {
         let poses = objects.iter().flat_map(|pose| [pose.x, pose.y, pose.theta]).collect();
@@ -356,7 +395,11 @@ fn planar_estimates(rows: &[PoseRow<Estimate>]) -> [Column; 3] {
     let clear = rows.iter().map(|row| row.estimate.flag == Flag::Clear);
     let confidence = rows.iter().map(|row| row.estimate.confidence);
     [
-        vector("re4.estimated_pose", &PLANAR_POSE, Data::Double(rows.iter().flat_map(pose).collect())),
+        vector(
+            "re4.estimated_pose",
+            &PLANAR_POSE,
+            Data::Double(rows.iter().flat_map(pose).collect()),
+        ),
         scalar("re4.estimate_confidence", Data::Double(confidence.collect())),
         scalar("re4.estimate_clear", Data::Truth(clear.collect())),
     ]
@@ -389,19 +432,29 @@ fn spatial_columns(take: &Take<SpaceFrame>, single: bool, deltas: bool) -> Vec<C
     };
     let names = if deltas { DELTA } else { GOAL_NAMES };
     let mut columns = vec![
-        vector("observation.state", &ARM, floats(all().flat_map(state).collect(), single)),
+        vector(
+            "observation.state",
+            &ARM,
+            floats(all().flat_map(state).collect(), single),
+        ),
         vector("action", &names, floats(all().flat_map(action).collect(), single)),
     ];
     let rewards: Option<Vec<f64>> = all().map(|frame| frame.reward).collect();
     if let Some(rewards) = rewards {
-        columns.push(scalar("next.reward", Data::Single(rewards.iter().map(|&reward| reward as f32).collect())));
+        columns.push(scalar(
+            "next.reward",
+            Data::Single(rewards.iter().map(|&reward| reward as f32).collect()),
+        ));
     }
     let success: Option<Vec<bool>> = take.frames.iter().map(|frame| frame.success).collect();
     if let Some(success) = success {
         columns.push(scalar("next.success", Data::Truth(success)));
     }
     let last = take.frames.len() - 1;
-    columns.push(scalar("next.done", Data::Truth((0..=last).map(|frame| frame == last).collect())));
+    columns.push(scalar(
+        "next.done",
+        Data::Truth((0..=last).map(|frame| frame == last).collect()),
+    ));
     let objects: Option<Vec<Isometry3<f64>>> = all().map(|frame| frame.object).collect();
     if let Some(objects) = objects {
         let poses = objects.iter().flat_map(seven).collect();

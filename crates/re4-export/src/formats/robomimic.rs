@@ -77,7 +77,11 @@ impl Layout {
         } else {
             Vec::new()
         };
-        let stated = |name: &str| rows.iter().find(|row| &*row.convention == name).map(|row| row.value.to_string());
+        let stated = |name: &str| {
+            rows.iter()
+                .find(|row| &*row.convention == name)
+                .map(|row| row.value.to_string())
+        };
         let version = stated("robosuite_version").unwrap_or_else(|| "1.4.1".to_owned());
         let mut parts = version.split('.').map(|part| part.parse().unwrap_or(0));
         let number = (parts.next().unwrap_or(1), parts.next().unwrap_or(4));
@@ -191,7 +195,11 @@ impl<'a> Output<'a> {
     fn all(mut self) -> Result<Exported> {
         let inputs = self.inputs;
         let total = match inputs.kind {
-            Kind::Episodes => inputs.demo_names()?.iter().filter(|name| inputs.keeps(name, None)).count(),
+            Kind::Episodes => inputs
+                .demo_names()?
+                .iter()
+                .filter(|name| inputs.keeps(name, None))
+                .count(),
             Kind::Rollouts => crate::plane::seeds(&inputs.artifact)?.len(),
         };
         (self.hooks.progress)(0, total);
@@ -204,7 +212,10 @@ impl<'a> Output<'a> {
         if self.written.is_empty() {
             bail!("there is no episode to export in {}", inputs.artifact.path().display(); "choose other episodes");
         }
-        let (env_args, about) = (self.layout.env_args(), Value::Object(inputs.about(self.request)).to_string());
+        let (env_args, about) = (
+            self.layout.env_args(),
+            Value::Object(inputs.about(self.request)).to_string(),
+        );
         let attributes = [
             ("total", Attribute::Integer(self.frames as i64)),
             ("env_args", Attribute::Text(&env_args)),
@@ -221,7 +232,9 @@ impl<'a> Output<'a> {
         }
         let episodes = self.written.len();
         self.file.finish(&root)?;
-        let mut notes = vec!["the controller in env_args is that of robomimic's datasets; the artifact does not have it".to_owned()];
+        let mut notes = vec![
+            "the controller in env_args is that of robomimic's datasets; the artifact does not have it".to_owned(),
+        ];
         if self.no_rewards {
             notes.push("rewards were not recorded and are zero".to_owned());
         }
@@ -256,19 +269,32 @@ impl<'a> Output<'a> {
         );
         let mut demo = Members::new();
         let mut obs = self.observations(take)?;
-        let actions: Vec<f64> = take.frames.iter().flat_map(|frame| self.action(&frame.recorded)).collect();
-        demo.insert("actions".to_owned(), self.file.dataset(&Values::F64(&actions), &[frames, 7])?);
+        let actions: Vec<f64> = take
+            .frames
+            .iter()
+            .flat_map(|frame| self.action(&frame.recorded))
+            .collect();
+        demo.insert(
+            "actions".to_owned(),
+            self.file.dataset(&Values::F64(&actions), &[frames, 7])?,
+        );
         if let Some(states) = &mut self.states {
             let rows = matching(states, take.number, frames, "states")?;
             let width = rows.first().map_or(0, |row| row.state.len());
             let flat: Vec<f64> = rows.into_iter().flat_map(|row| row.state).collect();
             ensure!(flat.len() == frames * width, "the states of {} differ in length", take.name; "ingest the dataset again");
-            demo.insert("states".to_owned(), self.file.dataset(&Values::F64(&flat), &[frames, width])?);
+            demo.insert(
+                "states".to_owned(),
+                self.file.dataset(&Values::F64(&flat), &[frames, width])?,
+            );
         }
         let rewards: Option<Vec<f64>> = take.frames.iter().map(|frame| frame.recorded.reward).collect();
         self.no_rewards |= rewards.is_none();
         let rewards = rewards.unwrap_or_else(|| vec![0.0; frames]);
-        demo.insert("rewards".to_owned(), self.file.dataset(&Values::F64(&rewards), &[frames])?);
+        demo.insert(
+            "rewards".to_owned(),
+            self.file.dataset(&Values::F64(&rewards), &[frames])?,
+        );
         let done = |(at, frame): (usize, &SpaceFrame)| i64::from(frame.recorded.done.unwrap_or(at + 1 == frames));
         let dones: Vec<i64> = take.frames.iter().enumerate().map(done).collect();
         demo.insert("dones".to_owned(), self.file.dataset(&Values::I64(&dones), &[frames])?);
@@ -277,7 +303,10 @@ impl<'a> Output<'a> {
             for ((camera, (width, height)), images) in cameras.cameras.iter().zip(images) {
                 let pixels = pixels(&images, (*width, *height), &take.name)?;
                 let shape = [frames, *height, *width, 3];
-                obs.insert(format!("{camera}_image"), self.file.dataset(&Values::U8(&pixels), &shape)?);
+                obs.insert(
+                    format!("{camera}_image"),
+                    self.file.dataset(&Values::U8(&pixels), &shape)?,
+                );
             }
         }
         let extra = self.extra(take)?;
@@ -291,7 +320,11 @@ impl<'a> Output<'a> {
             demo.insert("re4".to_owned(), self.file.group(&extra, &[])?);
         }
         let row = self.demos.get(take.number as usize).cloned();
-        let model = row.as_ref().and_then(|row| row.model).map(|model| self.model(model)).transpose()?;
+        let model = row
+            .as_ref()
+            .and_then(|row| row.model)
+            .map(|model| self.model(model))
+            .transpose()?;
         let mut attributes = vec![("num_samples", Attribute::Integer(frames as i64))];
         if let Some(model) = &model {
             attributes.push(("model_file", Attribute::Text(model)));
@@ -312,7 +345,11 @@ impl<'a> Output<'a> {
 
     /// The action in the kind of the file.
     fn action(&self, frame: &SpatialColumns) -> [f64; 7] {
-        let [a, b, c, d, e, f] = if self.layout.deltas { frame.delta.0 } else { frame.goal.0 };
+        let [a, b, c, d, e, f] = if self.layout.deltas {
+            frame.delta.0
+        } else {
+            frame.goal.0
+        };
         [a, b, c, d, e, f, frame.gripper]
     }
 
@@ -334,13 +371,21 @@ impl<'a> Output<'a> {
             ("robot0_eef_quat", rotation, 4),
             ("robot0_gripper_qpos", fingers, 2),
         ] {
-            obs.insert(name.to_owned(), self.file.dataset(&Values::F64(&values), &[frames, width])?);
+            obs.insert(
+                name.to_owned(),
+                self.file.dataset(&Values::F64(&values), &[frames, width])?,
+            );
         }
         let objects: Option<Vec<Isometry3<f64>>> = all().map(|frame| frame.recorded.object).collect();
         if let Some((layout, objects)) = self.layout.object.zip(objects) {
-            let rows = all().zip(&objects).flat_map(|(frame, object)| self.layout.object_row(layout, &hand(frame), object));
+            let rows = all()
+                .zip(&objects)
+                .flat_map(|(frame, object)| self.layout.object_row(layout, &hand(frame), object));
             let rows: Vec<f64> = rows.collect();
-            obs.insert("object".to_owned(), self.file.dataset(&Values::F64(&rows), &[frames, layout.columns()])?);
+            obs.insert(
+                "object".to_owned(),
+                self.file.dataset(&Values::F64(&rows), &[frames, layout.columns()])?,
+            );
         }
         Ok(obs)
     }
@@ -351,19 +396,39 @@ impl<'a> Output<'a> {
         let mut extra = Members::new();
         if let Some(modes) = &mut self.modes {
             let modes = modes.of(take.number, frames)?;
-            let codes: Vec<i64> = modes.into_iter().map(|mode| i64::from(mode == Mode::Transfer)).collect();
+            let codes: Vec<i64> = modes
+                .into_iter()
+                .map(|mode| i64::from(mode == Mode::Transfer))
+                .collect();
             extra.insert("mode".to_owned(), self.file.dataset(&Values::I64(&codes), &[frames])?);
         }
         if let Some(poses) = &mut self.poses {
             let rows = matching(poses, take.number, frames, "poses")?;
             let poses: Vec<f64> = rows.iter().flat_map(|row| seven(&row.estimate.object)).collect();
-            extra.insert("estimated_pose".to_owned(), self.file.dataset(&Values::F64(&poses), &[frames, 7])?);
+            extra.insert(
+                "estimated_pose".to_owned(),
+                self.file.dataset(&Values::F64(&poses), &[frames, 7])?,
+            );
         }
         if let Some(rolled) = &take.rolled {
-            let demo: Vec<i64> = rolled.followed.iter().map(|at| at.demo.map_or(-1, |(demo, _)| demo.into())).collect();
-            extra.insert("demonstration".to_owned(), self.file.dataset(&Values::I64(&demo), &[frames])?);
-            let frame: Vec<i64> = rolled.followed.iter().map(|at| at.demo.map_or(-1, |(_, frame)| frame.into())).collect();
-            extra.insert("demonstration_frame".to_owned(), self.file.dataset(&Values::I64(&frame), &[frames])?);
+            let demo: Vec<i64> = rolled
+                .followed
+                .iter()
+                .map(|at| at.demo.map_or(-1, |(demo, _)| demo.into()))
+                .collect();
+            extra.insert(
+                "demonstration".to_owned(),
+                self.file.dataset(&Values::I64(&demo), &[frames])?,
+            );
+            let frame: Vec<i64> = rolled
+                .followed
+                .iter()
+                .map(|at| at.demo.map_or(-1, |(_, frame)| frame.into()))
+                .collect();
+            extra.insert(
+                "demonstration_frame".to_owned(),
+                self.file.dataset(&Values::I64(&frame), &[frames])?,
+            );
         }
         Ok(extra)
     }
@@ -371,7 +436,10 @@ impl<'a> Output<'a> {
     fn model(&self, number: u32) -> Result<String> {
         let table = self.inputs.artifact.table(ModelRow::table())?;
         let rows = table.read_range::<ModelRow>(u64::from(number)..u64::from(number) + 1)?;
-        rows.into_iter().next().map(|row| row.mjcf).context("the table models is not complete")
+        rows.into_iter()
+            .next()
+            .map(|row| row.mjcf)
+            .context("the table models is not complete")
     }
 }
 

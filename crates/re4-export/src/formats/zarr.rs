@@ -35,7 +35,13 @@ pub(crate) fn write(inputs: &Inputs, request: &Request<'_>, hooks: Hooks<'_>) ->
     (hooks.progress)(0, episodes.len());
     PushtWriter::write(request.out, &episodes)?;
     (hooks.progress)(episodes.len(), episodes.len());
-    let names = ["data/action", "data/state", "data/keypoint", "data/n_contacts", "meta/episode_ends"];
+    let names = [
+        "data/action",
+        "data/state",
+        "data/keypoint",
+        "data/n_contacts",
+        "meta/episode_ends",
+    ];
     Ok(Exported {
         episodes: episodes.len(),
         frames: episodes.iter().map(|episode| episode.frames.len()).sum(),

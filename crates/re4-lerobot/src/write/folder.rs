@@ -108,7 +108,11 @@ impl Staging {
                     path: self.path.clone(),
                 }
             }
-            _ => self.failed("rename the finished dataset to", &self.path.display().to_string(), error),
+            _ => self.failed(
+                "rename the finished dataset to",
+                &self.path.display().to_string(),
+                error,
+            ),
         })?;
         let parent = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
         // The dataset is complete. A folder that cannot be synced is no reason to remove it.
@@ -122,7 +126,11 @@ fn size(folder: &Path) -> io::Result<u64> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         let about = entry.metadata()?;
-        bytes += if about.is_dir() { size(&entry.path())? } else { about.len() };
+        bytes += if about.is_dir() {
+            size(&entry.path())?
+        } else {
+            about.len()
+        };
     }
     Ok(bytes)
 }

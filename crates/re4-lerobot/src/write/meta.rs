@@ -2,9 +2,7 @@
 
 use std::sync::Arc;
 
-use arrow_array::builder::{
-    BooleanBuilder, Float64Builder, Int64Builder, ListBuilder, StringBuilder,
-};
+use arrow_array::builder::{BooleanBuilder, Float64Builder, Int64Builder, ListBuilder, StringBuilder};
 use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow_schema::{DataType, Field, Fields, Schema, SchemaRef};
 use serde_json::{Map, Value, json};
@@ -85,7 +83,11 @@ impl Episodes {
             return Ok(());
         }
         self.rows.push(row);
-        if self.rows.len() == ROWS { self.flush(staging) } else { Ok(()) }
+        if self.rows.len() == ROWS {
+            self.flush(staging)
+        } else {
+            Ok(())
+        }
     }
 
     pub(super) fn close(&mut self, staging: &Staging) -> Result<(), WriteError> {
@@ -168,7 +170,10 @@ impl Episodes {
             let place = |row: &Row| row.videos.get(camera).copied();
             let number = |part: usize| whole(&|row| place(row).map_or(0, |place| place.file[part]));
             let time = |part: usize| -> ArrayRef {
-                let times = self.rows.iter().map(|row| place(row).map_or(0.0, |place| place.times[part]));
+                let times = self
+                    .rows
+                    .iter()
+                    .map(|row| place(row).map_or(0.0, |place| place.times[part]));
                 Arc::new(Float64Array::from_iter_values(times))
             };
             all.push((video_column(name, "chunk_index"), number(0)));
@@ -185,7 +190,10 @@ impl Episodes {
                 continue;
             };
             for (at, (figure, _)) in first.figures().enumerate() {
-                let values = of.iter().filter_map(|stats| stats.figures().nth(at)).map(|(_, values)| values);
+                let values = of
+                    .iter()
+                    .filter_map(|stats| stats.figures().nth(at))
+                    .map(|(_, values)| values);
                 all.push((format!("stats/{name}/{figure}"), figures(values, first.image)));
             }
             let mut counts = ListBuilder::new(Int64Builder::new()).with_field(element(DataType::Int64));
@@ -268,9 +276,7 @@ pub(super) fn tasks(staging: &Staging, version: Version, tasks: &[String]) -> Re
         let text: String = tasks.iter().enumerate().map(line).collect();
         return staging.write(TASKS_V2, text.as_bytes());
     }
-    let column = |name, pandas, numpy| {
-        json!({ "name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": null })
-    };
+    let column = |name, pandas, numpy| json!({ "name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy, "metadata": null });
     // Makes the task the index of the table. Without it, the official loader returns the number of a task in place of its text.
     let pandas = json!({
         "index_columns": ["task"],
@@ -320,9 +326,16 @@ pub(super) fn info(declared: &Declaration, [episodes, frames, tasks, videos]: [u
     info["splits"] = json!({ "train": format!("0:{episodes}") });
     info["data_path"] = json!(data_path);
     info["video_path"] = if videos > 0 { json!(video_path) } else { Value::Null };
-    let own = declared.features.iter().map(|of| (of.name.clone(), feature(&of.kind, declared.fps)));
+    let own = declared
+        .features
+        .iter()
+        .map(|of| (of.name.clone(), feature(&of.kind, declared.fps)));
     let more = BOOKKEEPING.map(|name| {
-        let number = if name == "timestamp" { Number::Single } else { Number::Integer };
+        let number = if name == "timestamp" {
+            Number::Single
+        } else {
+            Number::Integer
+        };
         (name.to_owned(), feature(&FeatureKind::Scalar(number), declared.fps))
     });
     info["features"] = Value::Object(own.chain(more).collect());

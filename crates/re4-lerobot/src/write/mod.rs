@@ -294,7 +294,10 @@ impl Writer {
         self.videos.close(&self.staging)?;
         self.episodes.close(&self.staging)?;
         meta::tasks(&self.staging, self.declared.version, &self.tasks)?;
-        let info = meta::info(&self.declared, [count, self.frames, self.tasks.len(), self.videos.files()]);
+        let info = meta::info(
+            &self.declared,
+            [count, self.frames, self.tasks.len(), self.videos.files()],
+        );
         self.staging.write_json("meta/info.json", &info)?;
         self.verify(stop)?;
         let bytes = self.staging.publish()?;
@@ -330,7 +333,11 @@ impl Writer {
         let mut length = None;
         let declared = &self.declared.features;
         if episode.data.len() != declared.len() || episode.values.len() != self.declared.columns.len() {
-            let what = format!("{} features are given, but {} are declared", episode.data.len(), declared.len());
+            let what = format!(
+                "{} features are given, but {} are declared",
+                episode.data.len(),
+                declared.len()
+            );
             return Err(refuse("all features", what, BUG));
         }
         for (Declared { name, kind }, data) in declared.iter().zip(&episode.data) {
@@ -339,7 +346,11 @@ impl Writer {
                 FeatureKind::Image(..) | FeatureKind::Video(..) => None,
             };
             if data.number() != number {
-                return Err(refuse(name, "its values have another type than declared".to_owned(), BUG));
+                return Err(refuse(
+                    name,
+                    "its values have another type than declared".to_owned(),
+                    BUG,
+                ));
             }
             let width = kind.width();
             let frames = data.len() / width.max(1);
@@ -351,14 +362,19 @@ impl Writer {
                 let what = format!("frame {} has a value that is not a finite number", at / width.max(1));
                 return Err(refuse(name, what, "leave the episode out, or correct its source"));
             }
-            if let (FeatureKind::Image(width, height) | FeatureKind::Video(width, height), Data::Images(images)) = (kind, data)
+            if let (FeatureKind::Image(width, height) | FeatureKind::Video(width, height), Data::Images(images)) =
+                (kind, data)
                 && let Some((at, found)) = other_size(images, (*width, *height))
             {
                 let what = match found {
                     Some((w, h)) => format!("the image of frame {at} has {w} x {h} pixels, not {width} x {height}"),
                     None => format!("the image of frame {at} is not a PNG file"),
                 };
-                return Err(refuse(name, what, "export the cameras with one size, or correct the source"));
+                return Err(refuse(
+                    name,
+                    what,
+                    "export the cameras with one size, or correct the source",
+                ));
             }
         }
         Ok(length.unwrap_or(0))
@@ -380,7 +396,11 @@ impl Writer {
                 let levels = Levels::of(images).map_err(|(frame, why)| WriteError::Value {
                     path: self.staging.path().to_owned(),
                     episode: index,
-                    feature: self.declared.features.get(at).map_or_else(String::new, |of| of.name.clone()),
+                    feature: self
+                        .declared
+                        .features
+                        .get(at)
+                        .map_or_else(String::new, |of| of.name.clone()),
                     what: format!("the image of frame {frame} cannot be decoded: {why}"),
                     fix: "leave the episode out, or correct its source",
                 })?;
@@ -485,7 +505,9 @@ fn other_size(images: &[Vec<u8>], size: (usize, usize)) -> Option<(usize, Option
 
 /// Width and height of a PNG file, from its header.
 pub fn png_size(png: &[u8]) -> Option<(usize, usize)> {
-    let header = png.get(..24).filter(|header| header.starts_with(b"\x89PNG\r\n\x1a\n"))?;
+    let header = png
+        .get(..24)
+        .filter(|header| header.starts_with(b"\x89PNG\r\n\x1a\n"))?;
     let number = |at: usize| Some(u32::from_be_bytes(header.get(at..at + 4)?.try_into().ok()?) as usize);
     Some((number(16)?, number(20)?))
 }

@@ -10,8 +10,7 @@ use super::Data;
 use crate::images;
 
 /// The quantiles and their names in files.
-pub(super) const QUANTILES: [(&str, f64); 5] =
-    [("q01", 0.01), ("q10", 0.1), ("q50", 0.5), ("q90", 0.9), ("q99", 0.99)];
+pub(super) const QUANTILES: [(&str, f64); 5] = [("q01", 0.01), ("q10", 0.1), ("q50", 0.5), ("q90", 0.9), ("q99", 0.99)];
 
 /// Bins of a histogram. The error of a quantile is at most the 65,536th part of the range.
 const BINS: usize = 1 << 16;
@@ -321,7 +320,10 @@ mod tests {
         // numpy.quantile([3, 1, 4, 1, 5], [0.01, 0.1, 0.5, 0.9, 0.99]) and numpy.std of the same, and of ten times it.
         let values: Vec<f64> = [3.0, 1.0, 4.0, 1.0, 5.0].iter().flat_map(|x| [*x, 10.0 * x]).collect();
         let stats = of_numbers(&values, 2);
-        assert_eq!((stats.count, &stats.min, &stats.max), (5, &vec![1.0, 10.0], &vec![5.0, 50.0]));
+        assert_eq!(
+            (stats.count, &stats.min, &stats.max),
+            (5, &vec![1.0, 10.0], &vec![5.0, 50.0])
+        );
         assert_eq!(stats.mean, [2.8, 28.0]);
         assert!((stats.std[0] - 1.6).abs() < 1e-15 && (stats.std[1] - 16.0).abs() < 1e-14);
         let first: Vec<f64> = stats.quantiles.iter().map(|quantile| quantile[0]).collect();
@@ -365,7 +367,10 @@ mod tests {
         let mut levels = Levels::default();
         levels.add(&[0, 51, 255, 0, 102, 255]);
         let stats = levels.stats();
-        assert_eq!((stats.count, stats.min, stats.max), (1, vec![0.0, 0.2, 1.0], vec![0.0, 0.4, 1.0]));
+        assert_eq!(
+            (stats.count, stats.min, stats.max),
+            (1, vec![0.0, 0.2, 1.0], vec![0.0, 0.4, 1.0])
+        );
         assert!((stats.mean[1] - 0.3).abs() < 1e-15 && (stats.std[1] - 0.1).abs() < 1e-12);
         assert_eq!(levels.stats().to_json()["mean"][2], json!([[1.0]]));
     }

@@ -195,7 +195,9 @@ fn array(data: &Data, field: &Field) -> ArrayRef {
         Data::Integer(values) => Arc::new(Int64Array::from(values.clone())),
         Data::Truth(values) => Arc::new(BooleanArray::from(values.clone())),
         Data::Images(images) => {
-            let names: StringArray = (0..images.len()).map(|frame| Some(format!("frame-{frame:06}.png"))).collect();
+            let names: StringArray = (0..images.len())
+                .map(|frame| Some(format!("frame-{frame:06}.png")))
+                .collect();
             let bytes: ArrayRef = Arc::new(BinaryArray::from_iter_values(images));
             Arc::new(StructArray::new(image_fields(), vec![bytes, Arc::new(names)], None))
         }
@@ -207,4 +209,3 @@ fn array(data: &Data, field: &Field) -> ArrayRef {
         _ => flat,
     }
 }
-

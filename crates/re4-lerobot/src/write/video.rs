@@ -66,16 +66,20 @@ struct Open {
 
 impl Videos {
     pub(super) fn new(declared: &Declaration) -> Self {
-        let cameras = declared.features.iter().enumerate().filter_map(|(feature, of)| match of.kind {
-            FeatureKind::Video(width, height) => Some(Camera {
-                feature,
-                name: of.name.clone(),
-                size: (width, height),
-                open: None,
-                number: 0,
-            }),
-            _ => None,
-        });
+        let cameras = declared
+            .features
+            .iter()
+            .enumerate()
+            .filter_map(|(feature, of)| match of.kind {
+                FeatureKind::Video(width, height) => Some(Camera {
+                    feature,
+                    name: of.name.clone(),
+                    size: (width, height),
+                    open: None,
+                    number: 0,
+                }),
+                _ => None,
+            });
         Self {
             version: declared.version,
             fps: declared.fps.max(1),
@@ -104,7 +108,9 @@ impl Videos {
                 continue;
             };
             let full = camera.open.as_ref().is_some_and(|open| {
-                open.frames + images.len() > LONGEST * self.fps || open.bytes >= self.limit || self.version == Version::V2
+                open.frames + images.len() > LONGEST * self.fps
+                    || open.bytes >= self.limit
+                    || self.version == Version::V2
             });
             if full {
                 camera.close(staging)?;
@@ -140,13 +146,14 @@ impl Videos {
             };
             let first = open.frames;
             for part in images.chunks(PART) {
-                open.add(part, (width, height), self.fps).map_err(|what| WriteError::Value {
-                    path: staging.path().to_owned(),
-                    episode: index,
-                    feature: camera.name.clone(),
-                    what,
-                    fix: "export the images as PNG files, without --video",
-                })?;
+                open.add(part, (width, height), self.fps)
+                    .map_err(|what| WriteError::Value {
+                        path: staging.path().to_owned(),
+                        episode: index,
+                        feature: camera.name.clone(),
+                        what,
+                        fix: "export the images as PNG files, without --video",
+                    })?;
             }
             let time = |frame: usize| frame as f64 / self.fps as f64;
             places.push(VideoPlace {
@@ -198,7 +205,11 @@ impl Open {
         })
         .map_err(|why| format!("its images cannot be encoded ({why})"))?;
         if units.len() != frames.len() {
-            return Err(format!("{} images gave {} frames of a video", frames.len(), units.len()));
+            return Err(format!(
+                "{} images gave {} frames of a video",
+                frames.len(),
+                units.len()
+            ));
         }
         for unit in units {
             let time = self.frames as f64 / fps as f64;
@@ -214,7 +225,8 @@ impl Open {
 
 /// Whether an access unit (with start codes) has a slice of a key frame.
 fn is_key(unit: &[u8]) -> bool {
-    unit.windows(4).any(|bytes| bytes[..3] == [0, 0, 1] && bytes[3] & 0x1f == 5)
+    unit.windows(4)
+        .any(|bytes| bytes[..3] == [0, 0, 1] && bytes[3] & 0x1f == 5)
 }
 
 /// The image in luma and chroma, BT.601, limited range. Width and height are even.
@@ -234,15 +246,21 @@ fn yuv(rgb: &[u8], width: usize, height: usize) -> YuvFrame {
     for y in 0..height {
         for x in 0..width {
             let [r, g, b] = pixel(x, y);
-            frame.y.push(limited(16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0));
+            frame
+                .y
+                .push(limited(16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0));
         }
     }
     for y in (0..height).step_by(2) {
         for x in (0..width).step_by(2) {
             let four = [pixel(x, y), pixel(x + 1, y), pixel(x, y + 1), pixel(x + 1, y + 1)];
             let [r, g, b] = [0, 1, 2].map(|channel| four.iter().map(|pixel| pixel[channel]).sum::<f64>() / 4.0);
-            frame.u.push(limited(128.0 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255.0));
-            frame.v.push(limited(128.0 + (112.0 * r - 93.786 * g - 18.214 * b) / 255.0));
+            frame
+                .u
+                .push(limited(128.0 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255.0));
+            frame
+                .v
+                .push(limited(128.0 + (112.0 * r - 93.786 * g - 18.214 * b) / 255.0));
         }
     }
     frame
@@ -255,7 +273,10 @@ mod tests {
     #[test]
     fn grey_has_no_chroma_and_limited_range() {
         let frame = yuv(&[[0_u8; 3], [255; 3], [0; 3], [255; 3]].concat(), 2, 2);
-        assert_eq!((frame.y, frame.u, frame.v), (vec![16, 235, 16, 235], vec![128], vec![128]));
+        assert_eq!(
+            (frame.y, frame.u, frame.v),
+            (vec![16, 235, 16, 235], vec![128], vec![128])
+        );
     }
 
     #[test]

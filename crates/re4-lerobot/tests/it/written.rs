@@ -24,20 +24,31 @@ fn pixels(episode: usize, frame: usize) -> Vec<u8> {
 fn png(episode: usize, frame: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     image::codecs::png::PngEncoder::new(&mut bytes)
-        .write_image(&pixels(episode, frame), SIZE.0 as u32, SIZE.1 as u32, ExtendedColorType::Rgb8)
+        .write_image(
+            &pixels(episode, frame),
+            SIZE.0 as u32,
+            SIZE.1 as u32,
+            ExtendedColorType::Rgb8,
+        )
         .unwrap();
     bytes
 }
 
 fn declaration(version: Version, image: FeatureKind) -> Declaration {
     let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
-    let declared = |name: &str, kind| Declared { name: name.to_owned(), kind };
+    let declared = |name: &str, kind| Declared {
+        name: name.to_owned(),
+        kind,
+    };
     Declaration {
         version,
         fps: 10,
         robot: "arm".to_owned(),
         features: vec![
-            declared("observation.state", FeatureKind::Vector(Number::Single, names(&["x", "y"]))),
+            declared(
+                "observation.state",
+                FeatureKind::Vector(Number::Single, names(&["x", "y"])),
+            ),
             declared("action", FeatureKind::Vector(Number::Double, names(&["x", "y", "z"]))),
             declared("next.done", FeatureKind::Scalar(Number::Truth)),
             declared("re4.mode", FeatureKind::Scalar(Number::Integer)),
@@ -151,7 +162,11 @@ fn what_was_written_is_read() {
             let path = folder.path().join("set");
             let mut declared = declaration(version, images());
             if small {
-                declared.limits = Limits { data_bytes: 1, video_bytes: 1, chunk: 2 };
+                declared.limits = Limits {
+                    data_bytes: 1,
+                    video_bytes: 1,
+                    chunk: 2,
+                };
             }
             let written = write(&path, declared);
             let all = files(&path);
@@ -184,7 +199,10 @@ fn equal_input_gives_equal_bytes() {
             let path = folder.path().join(name);
             write(&path, declaration(version, image.clone()));
             let relative = |file: &PathBuf| file.strip_prefix(&path).unwrap().to_owned();
-            files(&path).iter().map(|file| (relative(file), fs::read(file).unwrap())).collect::<Vec<_>>()
+            files(&path)
+                .iter()
+                .map(|file| (relative(file), fs::read(file).unwrap()))
+                .collect::<Vec<_>>()
         });
         assert_eq!(contents[0], contents[1]);
     }
@@ -207,7 +225,10 @@ fn videos_show_the_images() {
             }
             assert_eq!(frames.len(), expected.len());
             for (at, (frame, expected)) in frames.iter().zip(&expected).enumerate() {
-                let squares = frame.iter().zip(expected).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
+                let squares = frame
+                    .iter()
+                    .zip(expected)
+                    .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
                 let error = squares.sum::<f64>() / expected.len() as f64;
                 // Gradients that wrap have hard edges of colour, whose chroma is halved; frames of another place differ by thousands.
                 assert!(error < 900.0, "frame {at}: {error}");
@@ -230,7 +251,10 @@ fn statistics_are_those_of_all_values() {
     let mut columns = vec![Vec::new(); 3];
     for number in 0..LENGTHS.len() {
         for row in numbers(&episode(number).data[1]).chunks(3) {
-            columns.iter_mut().zip(row).for_each(|(column, value)| column.push(*value));
+            columns
+                .iter_mut()
+                .zip(row)
+                .for_each(|(column, value)| column.push(*value));
         }
     }
     for (at, mut column) in columns.into_iter().enumerate() {
@@ -246,7 +270,10 @@ fn statistics_are_those_of_all_values() {
             let rank = fraction * (count - 1.0);
             let (low, high) = (column[rank.floor() as usize], column[rank.ceil() as usize]);
             let found = of(name);
-            assert!(found > low - range / 1e4 && found < high + range / 1e4, "{name} {found} {low} {high}");
+            assert!(
+                found > low - range / 1e4 && found < high + range / 1e4,
+                "{name} {found} {low} {high}"
+            );
         }
     }
     assert_eq!(stats["action"]["count"], json!([140]));
@@ -265,7 +292,10 @@ fn the_information_names_the_origin_and_the_features() {
     let info: Value = serde_json::from_str(&fs::read_to_string(path.join("meta/info.json")).unwrap()).unwrap();
     assert_eq!(info["codebase_version"], "v3.0");
     assert_eq!(info["re4"], json!({ "key": "abc" }));
-    assert_eq!(info["features"]["action"], json!({ "dtype": "float64", "shape": [3], "names": ["x", "y", "z"] }));
+    assert_eq!(
+        info["features"]["action"],
+        json!({ "dtype": "float64", "shape": [3], "names": ["x", "y", "z"] })
+    );
     assert_eq!(info["features"]["observation.image"]["info"]["video.codec"], "h264");
     assert_eq!(info["splits"], json!({ "train": "0:5" }));
     assert_eq!(info["total_tasks"], 2);
@@ -290,7 +320,10 @@ fn values_that_a_dataset_cannot_contain_are_refused() {
             values[7] = f64::NAN;
         }
     });
-    assert!(message.ends_with("episode 0, action: frame 2 has a value that is not a finite number"), "{message}");
+    assert!(
+        message.ends_with("episode 0, action: frame 2 has a value that is not a finite number"),
+        "{message}"
+    );
     let message = refused(|episode| {
         if let Data::Single(values) = &mut episode.data[0] {
             values.pop();
@@ -320,12 +353,21 @@ fn an_occupied_path_is_refused_and_an_empty_folder_is_filled() {
     let declared = || declaration(Version::V3, images());
     fs::create_dir(&path).unwrap();
     write(&path, declared());
-    assert!(matches!(Writer::create(&path, declared()), Err(WriteError::Exists { .. })));
+    assert!(matches!(
+        Writer::create(&path, declared()),
+        Err(WriteError::Exists { .. })
+    ));
     let file = folder.path().join("file");
     fs::write(&file, "text").unwrap();
-    assert!(matches!(Writer::create(&file, declared()), Err(WriteError::Exists { .. })));
+    assert!(matches!(
+        Writer::create(&file, declared()),
+        Err(WriteError::Exists { .. })
+    ));
     let inside = folder.path().join("no/set");
-    assert!(matches!(Writer::create(&inside, declared()), Err(WriteError::Io { .. })));
+    assert!(matches!(
+        Writer::create(&inside, declared()),
+        Err(WriteError::Io { .. })
+    ));
     // The path is taken while the dataset is written.
     let late = folder.path().join("late");
     let mut writer = Writer::create(&late, declared()).unwrap();
@@ -345,7 +387,10 @@ fn a_dataset_needs_an_episode_and_names_without_slash() {
     for name in ["a/b", "", "index", "action"] {
         let mut declared = declaration(Version::V3, images());
         name.clone_into(&mut declared.features[0].name);
-        assert!(matches!(Writer::create(&path, declared), Err(WriteError::Feature { .. })), "{name}");
+        assert!(
+            matches!(Writer::create(&path, declared), Err(WriteError::Feature { .. })),
+            "{name}"
+        );
     }
     let mut writer = Writer::create(&path, declaration(Version::V3, images())).unwrap();
     writer.add(&episode(0)).unwrap();

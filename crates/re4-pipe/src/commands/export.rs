@@ -28,7 +28,10 @@ pub(crate) fn export(arguments: &ExportArguments) -> Result<Outcome> {
         "leave --video out"
     );
     let out = std::path::absolute(&arguments.out)?;
-    let inside = out.ancestors().skip(1).find(|ancestor| Artifact::open(ancestor).is_ok());
+    let inside = out
+        .ancestors()
+        .skip(1)
+        .find(|ancestor| Artifact::open(ancestor).is_ok());
     if let Some(artifact) = inside {
         bail!(
             "cannot export to {}: that path is inside the artifact {}, which would be damaged",

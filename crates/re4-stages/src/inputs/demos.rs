@@ -89,7 +89,10 @@ impl Iterator for SpatialEpisodes {
 
     fn next(&mut self) -> Option<Self::Item> {
         let rows = self.rows.next()?;
-        Some(rows.map_err(Into::into).and_then(|(number, rows)| self.read(number, &rows)))
+        Some(
+            rows.map_err(Into::into)
+                .and_then(|(number, rows)| self.read(number, &rows)),
+        )
     }
 }
 
