@@ -10,7 +10,7 @@ use re4_lerobot::write::png_size;
 pub(crate) struct Cameras {
     table: Table,
     /// Names of the cameras and their image sizes (width, height), in the order of the table.
-    pub(crate) cameras: Vec<(String, (usize, usize))>,
+    pub(crate) sizes: Vec<(String, (usize, usize))>,
     /// The first row of each demonstration among the images of a camera, and the number of all rows.
     starts: Vec<u64>,
 }
@@ -48,7 +48,11 @@ impl Cameras {
                 cameras.push((name, size));
             }
         }
-        Ok(Some(Self { table, cameras, starts }))
+        Ok(Some(Self {
+            table,
+            sizes: cameras,
+            starts,
+        }))
     }
 
     /// The images of a demonstration from each camera.
@@ -61,8 +65,8 @@ impl Cameras {
         let Some((&first, &end)) = place else {
             bail!("there are no images of demonstration {number}"; "ingest the dataset again");
         };
-        let mut all = Vec::with_capacity(self.cameras.len());
-        for (camera, (name, _)) in (0..).zip(&self.cameras) {
+        let mut all = Vec::with_capacity(self.sizes.len());
+        for (camera, (name, _)) in (0..).zip(&self.sizes) {
             let offset = camera * frames;
             let rows = self.table.read_range::<ImageRow>(offset + first..offset + end)?;
             let mut images = Vec::with_capacity(rows.len());

@@ -6,7 +6,7 @@
 use anyhow::Result;
 use nalgebra::Isometry3;
 use re4_episode::Mode;
-use re4_fault::{bail, ensure};
+use re4_fault::{Fault, bail, ensure};
 use re4_geometry::{Point2, Pose2};
 use re4_ingest::{DemoRow, SpatialColumns};
 use re4_lerobot::Version;
@@ -134,7 +134,7 @@ impl<'a> Output<'a> {
         }
         if let Some(cameras) = &self.beside.cameras {
             let images = cameras.of(take.number)?;
-            for ((camera, (width, height)), images) in cameras.cameras.iter().zip(images) {
+            for ((camera, (width, height)), images) in cameras.sizes.iter().zip(images) {
                 let declared = Declared {
                     name: image_name(self.inputs.task, camera),
                     kind: match self.request.images {
@@ -149,10 +149,8 @@ impl<'a> Output<'a> {
         let values = self.values(take);
         if self.writer.is_none() {
             let columns = values.iter().map(|(name, _)| (*name).to_owned()).collect();
-            self.writer = Some(Writer::create(
-                self.request.out,
-                self.declaration(declared.clone(), columns),
-            )?);
+            let writer = Writer::create(self.request.out, self.declaration(declared.clone(), columns));
+            self.writer = Some(writer.map_err(|error| Fault::of(&error))?);
             self.features.clone_from(&declared);
         }
         let names = |of: &[Declared]| of.iter().map(|feature| feature.name.clone()).collect::<Vec<_>>();
@@ -170,11 +168,9 @@ impl<'a> Output<'a> {
         }
         let task = self.task();
         if let Some(writer) = &mut self.writer {
-            writer.add(&NewEpisode {
-                task,
-                data,
-                values: values.into_iter().map(|(_, value)| value).collect(),
-            })?;
+            let values = values.into_iter().map(|(_, value)| value).collect();
+            let added = writer.add(&NewEpisode { task, data, values });
+            added.map_err(|error| Fault::of(&error))?;
         }
         self.done += 1;
         (self.hooks.progress)(self.done, self.total);
@@ -253,7 +249,7 @@ impl<'a> Output<'a> {
                 "choose other episodes"
             );
         };
-        let written = writer.finish(self.hooks.stop)?;
+        let written = writer.finish(self.hooks.stop).map_err(|error| Fault::of(&error))?;
         let mut notes = Vec::new();
         if self.inputs.kind == Kind::Rollouts {
             notes.push("the rollouts have no images".to_owned());

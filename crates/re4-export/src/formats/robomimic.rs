@@ -125,7 +125,7 @@ impl Layout {
     }
 
     /// A row of the observation `object`: the pose of the object, and its place relative to the hand.
-    fn object_row(&self, layout: ObjectLayout, hand: &Isometry3<f64>, object: &Isometry3<f64>) -> Vec<f64> {
+    fn object_row(layout: ObjectLayout, hand: &Isometry3<f64>, object: &Isometry3<f64>) -> Vec<f64> {
         let difference = object.translation.vector - hand.translation.vector;
         let relative: Vec<f64> = match layout {
             ObjectLayout::LiftEefMinusCube => (-difference).iter().copied().collect(),
@@ -248,7 +248,7 @@ impl<'a> Output<'a> {
     }
 
     /// Name of a demonstration in the file: robomimic requires `demo_` and a number.
-    fn name(&self, take: &Take<SpaceFrame>) -> String {
+    fn name(take: &Take<SpaceFrame>) -> String {
         let number = match &take.rolled {
             Some(rolled) => rolled.seed,
             None => match take.name.strip_prefix("demo_").map(str::parse::<u32>) {
@@ -261,7 +261,7 @@ impl<'a> Output<'a> {
 
     fn add(&mut self, take: &Take<SpaceFrame>) -> Result<()> {
         let frames = take.frames.len();
-        let name = self.name(take);
+        let name = Self::name(take);
         ensure!(
             !self.written.contains_key(&name),
             "two demonstrations of {} would both be named {name}", self.inputs.artifact.path().display();
@@ -300,7 +300,7 @@ impl<'a> Output<'a> {
         demo.insert("dones".to_owned(), self.file.dataset(&Values::I64(&dones), &[frames])?);
         if let Some(cameras) = &self.cameras {
             let images = cameras.of(take.number)?;
-            for ((camera, (width, height)), images) in cameras.cameras.iter().zip(images) {
+            for ((camera, (width, height)), images) in cameras.sizes.iter().zip(images) {
                 let pixels = pixels(&images, (*width, *height), &take.name)?;
                 let shape = [frames, *height, *width, 3];
                 obs.insert(
@@ -380,7 +380,7 @@ impl<'a> Output<'a> {
         if let Some((layout, objects)) = self.layout.object.zip(objects) {
             let rows = all()
                 .zip(&objects)
-                .flat_map(|(frame, object)| self.layout.object_row(layout, &hand(frame), object));
+                .flat_map(|(frame, object)| Layout::object_row(layout, &hand(frame), object));
             let rows: Vec<f64> = rows.collect();
             obs.insert(
                 "object".to_owned(),

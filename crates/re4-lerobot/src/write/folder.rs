@@ -39,7 +39,8 @@ impl Staging {
         let temporary = tempfile::Builder::new()
             .prefix(".re4-export-")
             .tempdir_in(parent.unwrap_or(Path::new(".")))
-            .map_err(|error| failed("create a folder beside it", error))?;
+            // Only the kind of the error: tempfile's own message repeats the path and adds a random name.
+            .map_err(|error| failed("create a folder beside it", error.kind().into()))?;
         // The temporary folder is private to its owner, so the dataset is built in a subfolder with the usual permissions.
         let building = temporary.path().join("dataset");
         fs::create_dir(&building).map_err(|error| failed("create a folder beside it", error))?;

