@@ -130,7 +130,14 @@ impl Layout {
         let relative: Vec<f64> = match layout {
             ObjectLayout::LiftEefMinusCube => (-difference).iter().copied().collect(),
             ObjectLayout::LiftCubeMinusEef => difference.iter().copied().collect(),
-            ObjectLayout::PoseFirst | ObjectLayout::RelativeFirst => seven(&(hand.inverse() * object)).to_vec(),
+            ObjectLayout::PoseFirst | ObjectLayout::RelativeFirst => {
+                let mut relative = seven(&(hand.inverse() * object));
+                // robosuite computes this quaternion from a matrix, with a positive real part.
+                if relative[6] < 0.0 {
+                    relative[3..].iter_mut().for_each(|part| *part = -*part);
+                }
+                relative.to_vec()
+            }
         };
         if layout.pose_start() == 0 {
             [&seven(object)[..], &relative].concat()
