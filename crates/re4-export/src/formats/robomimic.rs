@@ -134,7 +134,9 @@ impl Layout {
                 let mut relative = seven(&(hand.inverse() * object));
                 // robosuite computes this quaternion from a matrix, with a positive real part.
                 if relative[6] < 0.0 {
-                    relative[3..].iter_mut().for_each(|part| *part = -*part);
+                    for part in &mut relative[3..] {
+                        *part = -*part;
+                    }
                 }
                 relative.to_vec()
             }
