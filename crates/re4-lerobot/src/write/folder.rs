@@ -10,12 +10,20 @@ use tempfile::TempDir;
 
 use super::WriteError;
 
+/// Beginning of the names of temporary folders.
+const PREFIX: &str = ".re4-export-";
+
+/// Name of the file in a temporary folder that a running writer has locked.
+const LOCK: &str = ".lock";
+
 /// A dataset that is being built. Dropping it removes the files.
 pub(super) struct Staging {
     /// The path of the dataset.
     path: PathBuf,
     /// Removed on every way out.
     _temporary: TempDir,
+    /// Locked while the process runs, also if it is killed.
+    _lock: File,
     /// The folder of the files, inside the temporary one.
     building: PathBuf,
 }
@@ -36,17 +44,25 @@ impl Staging {
             _ => return Err(WriteError::Exists { path: path.to_owned() }),
         }
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        remove_leftovers(parent.unwrap_or(Path::new(".")));
         let temporary = tempfile::Builder::new()
-            .prefix(".re4-export-")
+            .prefix(PREFIX)
             .tempdir_in(parent.unwrap_or(Path::new(".")))
             // Only the kind of the error: tempfile's own message repeats the path and adds a random name.
             .map_err(|error| failed("create a folder beside it", error.kind().into()))?;
+        let locked = || {
+            let lock = File::create_new(temporary.path().join(LOCK))?;
+            lock.lock()?;
+            Ok(lock)
+        };
+        let lock = locked().map_err(|error| failed("create a folder beside it", error))?;
         // The temporary folder is private to its owner, so the dataset is built in a subfolder with the usual permissions.
         let building = temporary.path().join("dataset");
         fs::create_dir(&building).map_err(|error| failed("create a folder beside it", error))?;
         Ok(Self {
             path: path.to_owned(),
             _temporary: temporary,
+            _lock: lock,
             building,
         })
     }
@@ -119,6 +135,22 @@ impl Staging {
         // The dataset is complete. A folder that cannot be synced is no reason to remove it.
         let _ = File::open(parent.unwrap_or(Path::new("."))).and_then(|folder| folder.sync_all());
         Ok(bytes)
+    }
+}
+
+/// Removes the temporary folders of writers that were killed. A folder without a lock file may be that of a writer that has just begun.
+fn remove_leftovers(parent: &Path) {
+    let Ok(entries) = fs::read_dir(parent) else {
+        return;
+    };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let temporary = path
+            .file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with(PREFIX));
+        if temporary && File::open(path.join(LOCK)).is_ok_and(|lock| lock.try_lock().is_ok()) {
+            // What cannot be removed disturbs nobody.
+            let _ = fs::remove_dir_all(&path);
+        }
     }
 }
 

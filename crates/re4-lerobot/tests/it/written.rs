@@ -379,6 +379,22 @@ fn an_occupied_path_is_refused_and_an_empty_folder_is_filled() {
 }
 
 #[test]
+fn leftovers_of_killed_writers_are_removed_and_running_ones_are_not_disturbed() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = folder.path().join(".re4-export-left");
+    fs::create_dir(&left).unwrap();
+    fs::write(left.join(".lock"), "").unwrap();
+    let begun = folder.path().join(".re4-export-begun");
+    fs::create_dir(&begun).unwrap();
+    let mut running = Writer::create(&folder.path().join("one"), declaration(Version::V3, images())).unwrap();
+    assert!(!left.exists() && begun.exists());
+    write(&folder.path().join("two"), declaration(Version::V3, images()));
+    running.add(&episode(0)).unwrap();
+    running.finish(&|| false).unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+}
+
+#[test]
 fn a_dataset_needs_an_episode_and_names_without_slash() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("set");
