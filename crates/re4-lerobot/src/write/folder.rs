@@ -50,7 +50,7 @@ impl Staging {
             .tempdir_in(parent.unwrap_or(Path::new(".")))
             // Only the kind of the error: tempfile's own message repeats the path and adds a random name.
             .map_err(|error| failed("create a folder beside it", error.kind().into()))?;
-        let locked = || {
+        let locked = || -> io::Result<File> {
             let lock = File::create_new(temporary.path().join(LOCK))?;
             lock.lock()?;
             Ok(lock)
