@@ -13,6 +13,7 @@ use re4_episode::Mode;
 use re4_fault::{bail, ensure, fault};
 use re4_ingest::{Convention, DemoRow, ModelRow, SpatialColumns, StateRow};
 use re4_pose::{PoseRow, SpatialEstimate};
+use re4_robosuite::hand_from_site;
 use re4_task::ObjectLayout;
 use serde_json::{Value, json};
 
@@ -365,10 +366,17 @@ impl<'a> Output<'a> {
     /// Proprioception and, if its layout is known, the object.
     fn observations(&mut self, take: &Take<SpaceFrame>) -> Result<Members> {
         let frames = take.frames.len();
-        // The orientation that robosuite observes, which may be that of another frame than the grip site.
+        // The orientation that robosuite observes: the recorded one, which may be that of another frame than the grip site. Rollouts
+        // do not have it; it is that of the hand.
+        let rolled = take.rolled.is_some();
         let hand = |frame: &SpaceFrame| {
-            let rotation = frame.recorded.raw_eef.unwrap_or(frame.recorded.eef.rotation);
-            Isometry3::from_parts(frame.recorded.eef.translation, rotation)
+            let site = frame.recorded.eef;
+            let observed = if rolled {
+                site.rotation * hand_from_site().inverse()
+            } else {
+                site.rotation
+            };
+            Isometry3::from_parts(site.translation, frame.recorded.raw_eef.unwrap_or(observed))
         };
         let all = || take.frames.iter();
         let position: Vec<f64> = all().flat_map(|frame| seven(&hand(frame))[..3].to_vec()).collect();
