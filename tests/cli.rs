@@ -6,7 +6,7 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 21] = [
+pub(crate) const COMMANDS: [&str; 22] = [
     "ingest",
     "segment",
     "audit",
@@ -24,6 +24,7 @@ pub(crate) const COMMANDS: [&str; 21] = [
     "verify",
     "inspect",
     "query",
+    "export",
     "report",
     "fetch",
     "doctor",

@@ -14,6 +14,7 @@ mod cli;
 mod compare;
 mod dependencies;
 mod encoder;
+mod export;
 mod foreign;
 mod fuzz_corpus;
 mod golden;

@@ -143,7 +143,10 @@ impl Place {
         while let Some(folder) = folders.pop() {
             for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
                 let name = path.file_name().unwrap().to_str().unwrap();
-                if name.starts_with(".tmp-") || name.starts_with(".re4-record-") {
+                if [".tmp-", ".re4-record-", ".re4-export-"]
+                    .iter()
+                    .any(|prefix| name.starts_with(prefix))
+                {
                     found.push(path);
                 } else if path.is_dir() {
                     folders.push(path);

@@ -70,7 +70,8 @@ pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableSummary};
 pub use reader::{Artifact, Batches, Table};
 pub use rows::{
-    Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either, trimmed,
+    ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either,
+    trimmed,
 };
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;

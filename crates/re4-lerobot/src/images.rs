@@ -74,7 +74,7 @@ fn encoded(array: &ArrayRef) -> Vec<Option<&[u8]>> {
 }
 
 /// Width, height and RGB bytes of a PNG image.
-fn decode(png: &[u8]) -> Result<(usize, usize, Vec<u8>), (Kind, String)> {
+pub(crate) fn decode(png: &[u8]) -> Result<(usize, usize, Vec<u8>), (Kind, String)> {
     let jpeg = png.starts_with(&[0xff, 0xd8]);
     if !png.starts_with(b"\x89PNG") {
         let what = if jpeg {

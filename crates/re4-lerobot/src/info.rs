@@ -28,7 +28,7 @@ pub enum Version {
 
 impl Version {
     /// The patterns of the official writer, for data and videos.
-    fn patterns(self) -> (&'static str, &'static str) {
+    pub(crate) fn patterns(self) -> (&'static str, &'static str) {
         match self {
             Self::V2 => (
                 "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",

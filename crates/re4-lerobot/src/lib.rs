@@ -1,4 +1,4 @@
-//! Reader of LeRobot datasets, v2.0, v2.1 and v3.0, with their images and videos.
+//! Reader of LeRobot datasets, v2.0, v2.1 and v3.0, with their images and videos, and a writer ([`write`]).
 //!
 //! [`Dataset::open`] reads the metadata, the schema of every table and the index of every video, and compares all counts: episodes,
 //! frames, rows, video frames, files. It returns all faults at once, each with its file, its column or key, and a remedy. Then
@@ -26,6 +26,7 @@ mod meta;
 mod table;
 mod template;
 mod video;
+pub mod write;
 
 pub use column::{Column, Values};
 pub use dataset::{Cameras, Dataset, Episode};

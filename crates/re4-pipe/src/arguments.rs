@@ -1,12 +1,17 @@
 //! The arguments of the command line.
 
+mod curate;
+mod export;
+
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
-use re4_influence::{Aim, By};
 use re4_stages::{Notes, Runner, Seeds, Settings};
+
+pub(crate) use self::curate::{AimArgument, ByArgument};
+pub(crate) use self::export::{ExportArguments, ExportFormat};
 
 /// From robot demonstrations to explainable imitation policies.
 ///
@@ -70,6 +75,8 @@ pub(crate) enum Command {
     /// Ask a question about any artifacts in SQL; prints a table, JSON or CSV, or writes Parquet
     #[cfg(feature = "query")]
     Query(QueryArguments),
+    /// Write demonstrations or rollouts in the formats of other programs: LeRobot, robomimic, Push-T's zarr
+    Export(ExportArguments),
     /// Write an HTML page about rollouts: scores, every seed, step budgets, and a viewer of every decision
     Report(ReportArguments),
     /// Download a dataset, or initial weights of an encoder, to the data folder
@@ -107,6 +114,7 @@ impl Command {
             | Self::Verify(VerifyArguments { common, .. })
             | Self::Inspect(InspectArguments { common, .. })
             | Self::Report(ReportArguments { common, .. })
+            | Self::Export(ExportArguments { common, .. })
             | Self::Fetch(FetchArguments { common, .. })
             | Self::Doctor(DoctorArguments { common, .. })
             | Self::Schemas(SchemasArguments { common, .. })
@@ -305,51 +313,6 @@ pub(crate) struct CurateArguments {
     /// Also write an HTML page about the choice
     #[arg(long, value_name = "OUT.html")]
     pub(crate) html: Option<PathBuf>,
-}
-
-/// What `curate` ranks demonstrations by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ByArgument {
-    /// The results of the episodes that follow a demonstration.
-    Influence,
-    /// The findings of the audit.
-    Audit,
-    /// Scores of the demonstrations, such as their duration.
-    Scores,
-    /// All of these.
-    Combined,
-}
-
-impl ByArgument {
-    pub(crate) fn by(self) -> By {
-        match self {
-            Self::Influence => By::Influence,
-            Self::Audit => By::Audit,
-            Self::Scores => By::Scores,
-            Self::Combined => By::Combined,
-        }
-    }
-}
-
-/// What `curate` aims at.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum AimArgument {
-    /// Drop demonstrations as long as that makes episodes better.
-    Harmful,
-    /// Drop only demonstrations on which no episode depends.
-    Redundant,
-    /// Also drop demonstrations as long as episodes stay as good, up to a standard error.
-    Smallest,
-}
-
-impl AimArgument {
-    pub(crate) fn aim(self) -> Aim {
-        match self {
-            Self::Harmful => Aim::Harmful,
-            Self::Redundant => Aim::Redundant,
-            Self::Smallest => Aim::Smallest,
-        }
-    }
 }
 
 /// Arguments of `rollout` and `run`.

@@ -52,6 +52,7 @@ fn main() -> ExitCode {
         #[cfg(feature = "query")]
         Command::Query(arguments) => commands::query::query(&arguments),
         Command::Report(arguments) => commands::report::report(&arguments),
+        Command::Export(arguments) => commands::export::export(&arguments),
         Command::Fetch(arguments) => commands::fetch::fetch(&arguments),
         Command::Doctor(arguments) => commands::doctor::doctor(&arguments),
         Command::Schemas(arguments) => commands::schemas::schemas(&arguments),

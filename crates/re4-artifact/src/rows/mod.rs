@@ -53,6 +53,7 @@
 //! # }
 //! ```
 
+mod by_episode;
 mod cells;
 mod poses;
 mod read;
@@ -68,6 +69,7 @@ use crate::columns::{column, complete};
 use crate::error::ArtifactError;
 use crate::spec::{ColumnKind, ColumnSpec, TableSpec};
 
+pub use by_episode::ByEpisode;
 pub use cells::{Label, Word};
 pub use poses::{QUATERNION_PARTS, SixAxis};
 pub use read::RowsOf;

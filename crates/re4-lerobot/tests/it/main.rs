@@ -14,3 +14,4 @@ mod mutations;
 mod random;
 mod samples;
 mod support;
+mod written;

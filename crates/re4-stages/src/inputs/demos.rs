@@ -3,15 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, Row as _};
+use re4_artifact::{Artifact, ByEpisode, Row as _};
 use re4_audit::SpatialDemo;
 use re4_episode::{SpatialEpisode, episode_name};
 use re4_fault::{Fault, OrFault as _, ensure, fault};
 use re4_ingest::{DemoRow, EpisodeRow, FrameRow, LeftOut, LeftOutFrameRow, SpatialColumns};
 use re4_policy::DemoNames;
 use re4_segment::{ModeRow, SegmentRow, SegmentedSpatial, SpatialEvidence, SpatialSegment};
-
-use super::by_episode::ByEpisode;
 
 /// Number of demonstrations that are processed in parallel and held in memory at a time.
 const BATCH: usize = 64;
@@ -91,7 +89,10 @@ impl Iterator for SpatialEpisodes {
 
     fn next(&mut self) -> Option<Self::Item> {
         let rows = self.rows.next()?;
-        Some(rows.and_then(|(number, rows)| self.read(number, &rows)))
+        Some(
+            rows.map_err(Into::into)
+                .and_then(|(number, rows)| self.read(number, &rows)),
+        )
     }
 }
 
@@ -181,7 +182,7 @@ impl Iterator for LeftOutEpisodes {
     fn next(&mut self) -> Option<Self::Item> {
         let (names, path) = (&self.names, &self.path);
         let rows = self.rows.as_mut()?.next()?;
-        Some(rows.and_then(|(number, rows)| {
+        Some(rows.map_err(Into::into).and_then(|(number, rows)| {
             let frames = rows.iter().map(|row| row.recorded.frame()).collect::<Option<_>>();
             let frames = frames.or_fault(|| no_object(path))?;
             let name = names.get(number as usize).cloned().unwrap_or_default();

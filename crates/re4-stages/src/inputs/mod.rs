@@ -1,6 +1,5 @@
 //! Readers of artifacts, datasets and simulators that more than one stage uses.
 
-pub(crate) mod by_episode;
 pub(crate) mod demos;
 pub(crate) mod episodes;
 pub(crate) mod estimators;

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use rayon::prelude::*;
-use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, ByEpisode, Recipe, Stage};
 use re4_episode::SpatialEpisode;
 use re4_fault::{ensure, fault};
 use re4_ingest::{Convention, EpisodeRow, StateRow};
@@ -15,7 +15,6 @@ use re4_task::RobosuiteTask;
 use serde_json::{Value, json};
 
 use super::tables::{DivergenceRow, ReplayRow, SpatialDivergence, SpatialReplay};
-use crate::inputs::by_episode::ByEpisode;
 use crate::inputs::demos::SpatialEpisodes;
 use crate::inputs::simulators::{Scenes, profile};
 use crate::runner::{Built, Runner};
