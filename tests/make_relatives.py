@@ -9,7 +9,7 @@ controllers. Every kind has the numbers of the source, so that what is read can 
 
 mimicgen   the same numbers; datagen_info is computed from observations and actions; without rewards, dones, next_obs and /mask
 libero     bodies renamed; observations are those after the action; the first 5 rows and the last one are dropped
-composite  the world of every demonstration is turned about the vertical, so actions in the frame of the base stay as they are
+composite  the world of every demonstration is rotated about the vertical, so actions in the frame of the base stay as they are
 robocasa   the same, on a mobile base, with 12 columns of actions
 twoarms    a humanoid of DexMimicGen
 """
@@ -85,9 +85,9 @@ def poses(positions, orientations):
 
 
 def site_orientations(demo):
-    """Orientations of the grip site: the hand's, turned by -90 degrees about its z."""
-    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return matrices(demo["obs/robot0_eef_quat"][()]) @ turn
+    """Orientations of the grip site: the hand's, rotated by -90 degrees about its z."""
+    rotation = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return matrices(demo["obs/robot0_eef_quat"][()]) @ rotation
 
 
 def chosen(source):
@@ -235,24 +235,24 @@ def yaw(angle):
     return np.array([0, 0, np.sin(angle / 2), np.cos(angle / 2)])
 
 
-def turned(pose, angle):
-    """Poses (position, quaternion x, y, z, w) in a world that is turned about the vertical."""
-    turn = matrices(yaw(angle)[None])[0]
+def rotated(pose, angle):
+    """Poses (position, quaternion x, y, z, w) in a world that is rotated about the vertical."""
+    rotation = matrices(yaw(angle)[None])[0]
     quaternions = multiplied(np.broadcast_to(yaw(angle), pose[:, 3:].shape), pose[:, 3:])
-    return np.concatenate([pose[:, :3] @ turn.T, quaternions], axis=1)
+    return np.concatenate([pose[:, :3] @ rotation.T, quaternions], axis=1)
 
 
 def numbers(values):
     return " ".join(f"{value:.17g}" for value in values)
 
 
-def turned_states(states, objects, angle, inserted):
-    """States of the turned world; `objects` are the addresses of free joints in qpos, `inserted` the joints before the arm."""
+def rotated_states(states, objects, angle, inserted):
+    """States of the rotated world; `objects` are the addresses of free joints in qpos, `inserted` the joints before the arm."""
     states = states.copy()
     for address in objects:
         columns = slice(1 + address, 8 + address)
         pose = states[:, columns][:, [0, 1, 2, 4, 5, 6, 3]]
-        states[:, columns] = turned(pose, angle)[:, [0, 1, 2, 6, 3, 4, 5]]
+        states[:, columns] = rotated(pose, angle)[:, [0, 1, 2, 6, 3, 4, 5]]
     velocities = 1 + settings_qpos(states.shape[1], len(objects))
     zeros = np.zeros((len(states), inserted))
     parts = [states[:, :1], zeros, states[:, 1:velocities], zeros, states[:, velocities:]]
@@ -269,7 +269,7 @@ def free_joints(model):
     return re.findall(r'<joint name="([^"]*)" type="free"', model)
 
 
-MOBILE = """<body name="mobilebase0_base" pos="{place}" quat="{turn}">
+MOBILE = """<body name="mobilebase0_base" pos="{place}" quat="{rotation}">
       <joint name="mobilebase0_joint_mobile_forward" type="slide" axis="1 0 0"/>
       <joint name="mobilebase0_joint_mobile_side" type="slide" axis="0 1 0"/>
       <joint name="mobilebase0_joint_mobile_yaw" type="hinge" axis="0 0 1"/>
@@ -277,15 +277,15 @@ MOBILE = """<body name="mobilebase0_base" pos="{place}" quat="{turn}">
     <body name="robot0_base"><site name="robot0_right_center"/>"""
 
 
-def turned_model(model, angle, mobile):
-    """The model of robosuite 1.5 for the turned world."""
+def rotated_model(model, angle, mobile):
+    """The model of robosuite 1.5 for the rotated world."""
     found = re.search(r'<body name="robot0_base" pos="([^"]*)">', model)
     position = np.array([float(number) for number in found.group(1).split()])
     x, y, z, w = yaw(angle)
-    place = numbers(turned(np.concatenate([position, [0, 0, 0, 1]])[None], angle)[0, :3])
+    place = numbers(rotated(np.concatenate([position, [0, 0, 0, 1]])[None], angle)[0, :3])
     quaternion = numbers([w, x, y, z])
     if mobile:
-        text = MOBILE.format(place=place, turn=quaternion)
+        text = MOBILE.format(place=place, rotation=quaternion)
         end = model.index("</worldbody>")
         # The base is the last child of the world before the objects; its end follows from the nesting.
         start, depth, at = found.start(), 0, found.start()
@@ -336,17 +336,17 @@ def composite(source, target, mobile=False):
         addresses = [first + 7 * place for place in range(len(free))]
         new = data.create_group(demo_name)
         new.attrs["num_samples"] = frames
-        model = turned_model(model, angle, mobile)
+        model = rotated_model(model, angle, mobile)
         if mobile:
             body = settings.get("from", "SquareNut")
             model = model.replace(f'"{body}_main"', '"obj_main"').replace(f'"{body}_joint0"', '"obj_joint0"')
             new.attrs["ep_meta"] = json.dumps({"lang": "pick it up", "layout_id": 1, "style_id": 2, "object_cfgs": []})
         new.attrs["model_file"] = model
-        new["states"] = turned_states(old["states"][()], addresses, angle, 4 if mobile else 0)
+        new["states"] = rotated_states(old["states"][()], addresses, angle, 4 if mobile else 0)
         actions = old["actions"][()]
         if settings.get("actions") == "world":
-            turn = matrices(yaw(angle)[None])[0]
-            actions = np.concatenate([actions[:, :3] @ turn.T, actions[:, 3:6] @ turn.T, actions[:, 6:]], axis=1)
+            rotation = matrices(yaw(angle)[None])[0]
+            actions = np.concatenate([actions[:, :3] @ rotation.T, actions[:, 3:6] @ rotation.T, actions[:, 6:]], axis=1)
         if mobile:
             base = np.zeros((frames, 5))
             base[:, 4] = -1
@@ -357,11 +357,11 @@ def composite(source, target, mobile=False):
         new["rewards"], new["dones"] = old["rewards"][()], old["dones"][()]
         obs = new.create_group("obs")
         eef = np.concatenate([old["obs/robot0_eef_pos"][()], old["obs/robot0_eef_quat"][()]], axis=1)
-        eef = turned(eef, angle)
+        eef = rotated(eef, angle)
         obs["robot0_eef_pos"], obs["robot0_eef_quat"] = eef[:, :3], eef[:, 3:]
         obs["robot0_gripper_qpos"] = old["obs/robot0_gripper_qpos"][()]
         thing = old["obs/object"][()]
-        pose = turned(thing[:, :7], angle)
+        pose = rotated(thing[:, :7], angle)
         if mobile:
             obs["obj_pos"], obs["obj_quat"] = pose[:, :3], pose[:, 3:]
             obs["object"] = np.concatenate([pose, np.zeros((frames, 21))], axis=1)

@@ -25,7 +25,9 @@ impl Files {
     fn new() -> Option<Self> {
         let python = std::env::var_os("RE4_PYTHON").map(PathBuf::from);
         if python.is_none() {
-            println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+            println!(
+                "skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python"
+            );
         }
         Some(Self {
             place: Place::empty(),
@@ -129,12 +131,21 @@ impl Frames {
 
     fn rotation(&self, prefix: &str, row: usize) -> UnitQuaternion<f64> {
         let part = |name: &str| self.columns[&format!("{prefix}_{name}")][row].unwrap();
-        UnitQuaternion::new_normalize(nalgebra::Quaternion::new(part("qw"), part("qx"), part("qy"), part("qz")))
+        UnitQuaternion::new_normalize(nalgebra::Quaternion::new(
+            part("qw"),
+            part("qx"),
+            part("qy"),
+            part("qz"),
+        ))
     }
 }
 
 fn table(artifact: &Artifact) -> RecordBatch {
-    artifact.table(FrameRow::<SpatialColumns>::table()).unwrap().read_all().unwrap()
+    artifact
+        .table(FrameRow::<SpatialColumns>::table())
+        .unwrap()
+        .read_all()
+        .unwrap()
 }
 
 fn frames(artifact: &Artifact) -> Frames {
@@ -157,7 +168,10 @@ fn conventions(artifact: &Artifact) -> BTreeMap<String, (String, String)> {
     let table = artifact.table(Convention::table()).unwrap().read_all().unwrap();
     let texts = |name: &str| {
         let texts = col_text(&table, name).unwrap();
-        texts.into_iter().map(|text| text.unwrap().to_owned()).collect::<Vec<_>>()
+        texts
+            .into_iter()
+            .map(|text| text.unwrap().to_owned())
+            .collect::<Vec<_>>()
     };
     let pairs = texts("value").into_iter().zip(texts("basis"));
     texts("convention").into_iter().zip(pairs).collect()
@@ -171,7 +185,10 @@ fn images(artifact: &Artifact) -> Vec<(String, u32, u32, u8)> {
     let bytes = table.column_by_name("image").unwrap();
     let bytes = bytes.as_any().downcast_ref::<arrow_array::BinaryArray>().unwrap();
     let cameras = col_text(&table, "camera").unwrap();
-    let places = col_u32(&table, "episode").unwrap().iter().zip(col_u32(&table, "frame").unwrap());
+    let places = col_u32(&table, "episode")
+        .unwrap()
+        .iter()
+        .zip(col_u32(&table, "frame").unwrap());
     let rows = cameras.into_iter().zip(places).zip(bytes.iter());
     rows.map(|((camera, (episode, frame)), bytes)| {
         let image = image::load_from_memory(bytes.unwrap()).unwrap().to_rgb8();
@@ -210,7 +227,9 @@ fn first() -> String {
 
 #[test]
 fn mimicgen_has_the_numbers_of_its_source() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let original = files.read("square", &square, &first());
     for environment in ["Square_D0", "Square_D1", "NutAssemblySquare_D2"] {
         let made = files.make("mimicgen", &square, &format!("--set|env={environment}"));
@@ -218,7 +237,10 @@ fn mimicgen_has_the_numbers_of_its_source() {
         assert_eq!(difference(&read.frames, &original.frames, &["reward"]).to_bits(), 0);
         assert_eq!(read.convention("datagen_eef_pose"), ("grip_site", "proven"));
         assert_eq!(read.convention("datagen_object"), ("square_nut", "proven"));
-        assert_eq!(read.convention("datagen_target_pose"), ("goals of the actions", "proven"));
+        assert_eq!(
+            read.convention("datagen_target_pose"),
+            ("goals of the actions", "proven")
+        );
         assert!(!read.warnings.contains("does not follow") && !read.warnings.contains("do not follow"));
     }
     files.all_stages("square", &files.make("mimicgen", &square, ""), "");
@@ -227,7 +249,9 @@ fn mimicgen_has_the_numbers_of_its_source() {
 /// The object is named by the task, by a setting, or by the body that has its poses.
 #[test]
 fn mimicgen_names_the_object() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let original = files.read("square", &square, &first());
     let same = |made: &Path, more: &str| {
         let read = files.read("robosuite", made, more);
@@ -238,7 +262,11 @@ fn mimicgen_names_the_object() {
     let made = files.make("mimicgen", &square, "");
     same(&made, "");
     same(&made, "--set ingest.object=square_nut");
-    let threading = files.make("mimicgen", &square, "--set|env=Threading_D1|--set|name=needle|--set|target=tripod|--set|other=needles");
+    let threading = files.make(
+        "mimicgen",
+        &square,
+        "--set|env=Threading_D1|--set|name=needle|--set|target=tripod|--set|other=needles",
+    );
     same(&threading, "");
     files.all_stages("robosuite", &threading, "");
     let object = files.read("robosuite", &threading, "--set ingest.object=RoundNut");
@@ -251,7 +279,15 @@ fn mimicgen_without_states() {
     let Some(files) = Files::new() else { return };
     let sample = repository().join("data/can-sample.hdf5");
     let settings = "--set|env=PickPlaceCan|--set|name=Can";
-    let original = files.read("robosuite", &files.make("mimicgen", &sample, &format!("{settings}|--set|env=Stack_D0|--set|name=cubeA|--set|target=cubeB")), "");
+    let original = files.read(
+        "robosuite",
+        &files.make(
+            "mimicgen",
+            &sample,
+            &format!("{settings}|--set|env=Stack_D0|--set|name=cubeA|--set|target=cubeB"),
+        ),
+        "",
+    );
     let can = files.read("can", &sample, &first());
     assert_eq!(original.convention("poses").0, "datagen_info");
     assert_eq!(original.convention("object").0, "cubeA");
@@ -259,16 +295,25 @@ fn mimicgen_without_states() {
     let quaternions = ["reward", "done", "object_q"];
     assert!(difference(&original.frames, &can.frames, &quaternions) < 1e-12);
     for row in (0..can.frames.episode.len()).step_by(7) {
-        let angle = original.frames.rotation("object", row).angle_to(&can.frames.rotation("object", row));
+        let angle = original
+            .frames
+            .rotation("object", row)
+            .angle_to(&can.frames.rotation("object", row));
         assert!(angle < 1e-7, "{angle}");
     }
-    let made = files.make("mimicgen", &sample, "--set|env=StackThree_D1|--set|name=cubeA|--set|target=cubeC");
+    let made = files.make(
+        "mimicgen",
+        &sample,
+        "--set|env=StackThree_D1|--set|name=cubeA|--set|target=cubeC",
+    );
     files.all_stages("robosuite", &made, "--set ingest.object=cubeA");
 }
 
 #[test]
 fn several_objects_are_refused_by_name() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     for (environment, words) in [
         ("StackThree_D0", "cubeA, cubeC"),
         ("NutAssembly_D0", "square_nut, round_nut"),
@@ -279,28 +324,42 @@ fn several_objects_are_refused_by_name() {
     ] {
         let made = files.make("mimicgen", &square, &format!("--set|env={environment}"));
         let sentence = files.run("ingest", "robosuite", &made, "").refused();
-        assert!(sentence.contains(words) && sentence.contains("ingest.object"), "{sentence}");
+        assert!(
+            sentence.contains(words) && sentence.contains("ingest.object"),
+            "{sentence}"
+        );
         let read = files.read("robosuite", &made, "--set ingest.object=SquareNut");
         assert!(read.warnings.contains("several objects"), "{}", read.warnings);
     }
     let made = files.make("mimicgen", &square, "--set|env=Square_O1");
     let sentence = files.run("ingest", "square", &made, "").refused();
-    assert!(sentence.contains("Square_O1") && sentence.contains("robosuite"), "{sentence}");
+    assert!(
+        sentence.contains("Square_O1") && sentence.contains("robosuite"),
+        "{sentence}"
+    );
     files.run("ingest", "robosuite", &made, "").done();
 }
 
 #[test]
 fn a_target_that_moves_is_a_warning() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let made = files.make("mimicgen", &square, "--set|env=Square_D1|--set|spread=0.02");
     let read = files.read("square", &made, "");
-    assert!(read.warnings.contains("square_peg") && read.warnings.contains("0.198 m"), "{}", read.warnings);
+    assert!(
+        read.warnings.contains("square_peg") && read.warnings.contains("0.198 m"),
+        "{}",
+        read.warnings
+    );
     assert!(read.warnings.contains("distribution 1"), "{}", read.warnings);
 }
 
 #[test]
 fn libero_has_the_numbers_of_its_source() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let original = files.read("square", &square, &first()).frames.cut(5, 1);
     let made = files.make("libero", &square, "");
     let read = files.read("robosuite", &made, "");
@@ -322,7 +381,8 @@ fn libero_has_the_numbers_of_its_source() {
         let apart = (read.frames.vector(goals, row) - original.vector(goals, row)).norm();
         assert!(apart < 1e-5, "{row}: {apart}");
         if original.vector(["delta_rx", "delta_ry", "delta_rz"], row).norm() > 0.0 {
-            let [ours, theirs] = [&read.frames, &original].map(|frames| UnitQuaternion::from_scaled_axis(frames.vector(rotations, row)));
+            let [ours, theirs] =
+                [&read.frames, &original].map(|frames| UnitQuaternion::from_scaled_axis(frames.vector(rotations, row)));
             assert!(ours.angle_to(&theirs) < 1e-5, "{row}");
         }
     }
@@ -331,7 +391,9 @@ fn libero_has_the_numbers_of_its_source() {
 
 #[test]
 fn libero_observations_that_are_not_late_are_recognised() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let made = files.make("libero", &square, "--set|current=1|--set|images=1");
     let read = files.read("robosuite", &made, "");
     assert_eq!(read.convention("observation_time"), ("before_action", "proven"));
@@ -341,9 +403,15 @@ fn libero_observations_that_are_not_late_are_recognised() {
 /// The image of a frame is the one that shows its state.
 #[test]
 fn libero_images_are_upright_and_belong_to_their_frames() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     for convention in ["opengl", "opencv"] {
-        let made = files.make("libero", &square, &format!("--set|images=1|--set|convention={convention}"));
+        let made = files.make(
+            "libero",
+            &square,
+            &format!("--set|images=1|--set|convention={convention}"),
+        );
         let all = files.read("robosuite", &made, "--set ingest.images=false");
         assert!(all.images.is_empty());
         let read = files.read("robosuite", &made, "");
@@ -359,39 +427,66 @@ fn libero_images_are_upright_and_belong_to_their_frames() {
 
 #[test]
 fn libero_tasks_of_another_kind_are_refused_by_their_goals() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     for (goal, words) in [
-        ("(And (On {moved} {place}) (On plate_2 {place}))", "several goals: (On black_bowl_1 plate_1) and (On plate_2 plate_1)"),
+        (
+            "(And (On {moved} {place}) (On plate_2 {place}))",
+            "several goals: (On black_bowl_1 plate_1) and (On plate_2 plate_1)",
+        ),
         ("(And (In {moved} drawer_1) (Close drawer_1))", "(Close drawer_1)"),
         ("(Open drawer_1)", "does not place an object: (Open drawer_1)"),
         ("(And (Turnon stove_1))", "(Turnon stove_1)"),
     ] {
         let made = files.make("libero", &square, &format!("--set|goal={goal}"));
         let sentence = files.run("ingest", "robosuite", &made, "").refused();
-        assert!(sentence.contains(words) && sentence.contains("ingest.object"), "{sentence}");
+        assert!(
+            sentence.contains(words) && sentence.contains("ingest.object"),
+            "{sentence}"
+        );
         let read = files.read("robosuite", &made, "--set ingest.object=black_bowl_1");
-        assert!(read.warnings.contains("only black_bowl_1 is followed"), "{}", read.warnings);
+        assert!(
+            read.warnings.contains("only black_bowl_1 is followed"),
+            "{}",
+            read.warnings
+        );
     }
     let made = files.make("libero", &square, "--set|goal=(And (In {place} {moved}))");
     let sentence = files.run("ingest", "robosuite", &made, "").refused();
     assert!(sentence.contains("plate_1"), "{sentence}");
     let other = files.make("libero", &square, "--mutate|bddl_cut");
-    assert!(files.run("ingest", "robosuite", &other, "").refused().contains("bddl_file_content"));
+    assert!(
+        files
+            .run("ingest", "robosuite", &other, "")
+            .refused()
+            .contains("bddl_file_content")
+    );
 }
 
-/// Deltas in the frame of a turned base give the poses, deltas and goals of the source in a world that is turned.
+/// Deltas in the frame of a rotated base give the poses, deltas and goals of the source in a world that is rotated.
 #[test]
-fn deltas_in_the_frame_of_a_turned_base() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+fn deltas_in_the_frame_of_a_rotated_base() {
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let original = files.read("square", &square, &first());
     for angle in [1.1, -2.5, 3.1] {
         let made = files.make("composite", &square, &format!("--set|yaw={angle}"));
         let read = files.read("square", &made, "");
         assert_eq!(read.convention("action_frame"), ("base", "proven"), "{angle}");
-        turned(&read.frames, &original.frames, |_| angle);
+        rotated(&read.frames, &original.frames, |_| angle);
         // The same world with deltas in its axes.
-        let made = files.make("composite", &square, &format!("--set|yaw={angle}|--set|actions=world|--set|frame=world"));
-        let read = files.read("square", &made, "--set ingest.conventions.allow_actions_beyond_range=true");
+        let made = files.make(
+            "composite",
+            &square,
+            &format!("--set|yaw={angle}|--set|actions=world|--set|frame=world"),
+        );
+        let read = files.read(
+            "square",
+            &made,
+            "--set ingest.conventions.allow_actions_beyond_range=true",
+        );
         assert!(!read.conventions.contains_key("action_frame"));
         // A declaration that the motion contradicts.
         let made = files.make("composite", &square, &format!("--set|yaw={angle}|--set|actions=world"));
@@ -408,15 +503,18 @@ fn deltas_in_the_frame_of_a_turned_base() {
     assert!(!read.conventions.contains_key("action_frame"));
     assert!(difference(&read.frames, &original.frames, &[]) < 1e-15);
     let slight = files.make("composite", &square, "--set|yaw=0.05");
-    assert_eq!(files.read("square", &slight, "").convention("action_frame"), ("base", "declared"));
+    assert_eq!(
+        files.read("square", &slight, "").convention("action_frame"),
+        ("base", "declared")
+    );
     files.all_stages("square", &files.make("composite", &square, ""), "");
 }
 
-/// Compares frames with those of the source in a world that is turned by an angle that depends on the episode.
-fn turned(ours: &Frames, theirs: &Frames, angle: impl Fn(u32) -> f64) {
+/// Compares frames with those of the source in a world that is rotated by an angle that depends on the episode.
+fn rotated(ours: &Frames, theirs: &Frames, angle: impl Fn(u32) -> f64) {
     assert_eq!(ours.episode, theirs.episode);
     for row in 0..ours.episode.len() {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle(ours.episode[row]));
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle(ours.episode[row]));
         for names in [
             ["eef_x", "eef_y", "eef_z"],
             ["object_x", "object_y", "object_z"],
@@ -424,17 +522,22 @@ fn turned(ours: &Frames, theirs: &Frames, angle: impl Fn(u32) -> f64) {
             ["delta_rx", "delta_ry", "delta_rz"],
             ["goal_x", "goal_y", "goal_z"],
         ] {
-            let apart = (ours.vector(names, row) - turn * theirs.vector(names, row)).norm();
+            let apart = (ours.vector(names, row) - rotation * theirs.vector(names, row)).norm();
             assert!(apart < 2e-6, "{names:?} in row {row}: {apart}");
         }
-        let goal = |frames: &Frames| UnitQuaternion::from_scaled_axis(frames.vector(["goal_rx", "goal_ry", "goal_rz"], row));
+        let goal =
+            |frames: &Frames| UnitQuaternion::from_scaled_axis(frames.vector(["goal_rx", "goal_ry", "goal_rz"], row));
         let pairs = [
-            (ours.rotation("eef", row), turn * theirs.rotation("eef", row)),
-            (ours.rotation("object", row), turn * theirs.rotation("object", row)),
-            (goal(ours), turn * goal(theirs)),
+            (ours.rotation("eef", row), rotation * theirs.rotation("eef", row)),
+            (ours.rotation("object", row), rotation * theirs.rotation("object", row)),
+            (goal(ours), rotation * goal(theirs)),
         ];
         for (which, (ours, theirs)) in pairs.iter().enumerate() {
-            assert!(ours.angle_to(theirs) < 1e-5, "{which} in row {row}: {}", ours.angle_to(theirs));
+            assert!(
+                ours.angle_to(theirs) < 1e-5,
+                "{which} in row {row}: {}",
+                ours.angle_to(theirs)
+            );
         }
         assert_eq!(ours.columns["gripper"][row], theirs.columns["gripper"][row]);
     }
@@ -442,7 +545,9 @@ fn turned(ours: &Frames, theirs: &Frames, angle: impl Fn(u32) -> f64) {
 
 #[test]
 fn robocasa_has_the_numbers_of_its_source() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let original = files.read("square", &square, &first());
     let made = files.make("robocasa", &square, "");
     let read = files.read("robosuite", &made, "");
@@ -452,9 +557,14 @@ fn robocasa_has_the_numbers_of_its_source() {
     let first_goals = original.frames.cut(1, 0);
     let ours = read.frames.cut(1, 0);
     for row in 0..ours.episode.len() {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 1.1 + 0.9 * f64::from(ours.episode[row]));
-        for names in [["eef_x", "eef_y", "eef_z"], ["object_x", "object_y", "object_z"], ["delta_x", "delta_y", "delta_z"], ["goal_x", "goal_y", "goal_z"]] {
-            let apart = (ours.vector(names, row) - turn * first_goals.vector(names, row)).norm();
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 1.1 + 0.9 * f64::from(ours.episode[row]));
+        for names in [
+            ["eef_x", "eef_y", "eef_z"],
+            ["object_x", "object_y", "object_z"],
+            ["delta_x", "delta_y", "delta_z"],
+            ["goal_x", "goal_y", "goal_z"],
+        ] {
+            let apart = (ours.vector(names, row) - rotation * first_goals.vector(names, row)).norm();
             assert!(apart < 2e-6, "{names:?} in row {row}: {apart}");
         }
     }
@@ -463,43 +573,123 @@ fn robocasa_has_the_numbers_of_its_source() {
     // A base that moves is no manipulation.
     let made = files.make("robocasa", &square, "--set|driving=1");
     let sentence = files.run("ingest", "robosuite", &made, "").refused();
-    assert!(sentence.contains("demo_1") && sentence.contains("rows 3 to 8"), "{sentence}");
-    let kept = files.run("ingest", "robosuite", &made, "--set ingest.on_bad=leave_out").done().json();
+    assert!(
+        sentence.contains("demo_1") && sentence.contains("rows 3 to 8"),
+        "{sentence}"
+    );
+    let kept = files
+        .run("ingest", "robosuite", &made, "--set ingest.on_bad=leave_out")
+        .done()
+        .json();
     assert_eq!(kept["summary"]["left_out"], 1, "{kept}");
 }
 
 #[test]
 fn two_arms_are_refused_by_name() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     for environment in ["TwoArmCoffee", "TwoArmThreading", "DualCleanup"] {
         let made = files.make("twoarms", &square, &format!("--set|env={environment}"));
         for task in ["square", "robosuite"] {
             let sentence = files.run("ingest", task, &made, "").refused();
-            assert!(sentence.contains(environment) && sentence.contains("two arms"), "{sentence}");
+            assert!(
+                sentence.contains(environment) && sentence.contains("two arms"),
+                "{sentence}"
+            );
         }
     }
 }
 
 /// Kind, mutation, task, and words of the refusal. Every sentence names the place.
 const MUTATIONS: [(&str, &str, &str, &[&str]); 21] = [
-    ("mimicgen", "object_nan", "square", &["data/demo_1/datagen_info/object_poses/square_nut", "NaN in row 7"]),
-    ("mimicgen", "object_sheared", "square", &["data/demo_1/datagen_info/object_poses/square_nut", "row 7", "orthonormal"]),
-    ("mimicgen", "object_short", "square", &["data/demo_1/datagen_info/object_poses/square_nut", "rows"]),
-    ("mimicgen", "object_flat", "square", &["data/demo_1/datagen_info/object_poses/square_nut", "(N, 4, 4)"]),
-    ("mimicgen", "object_text", "square", &["data/demo_1/datagen_info/object_poses/square_nut", "text"]),
-    ("mimicgen", "object_missing", "square", &["demo_1", "datagen_info/object_poses/square_nut is missing"]),
-    ("mimicgen", "object_moved", "square", &["demo_1", "datagen_info/object_poses/square_nut differs in row"]),
+    (
+        "mimicgen",
+        "object_nan",
+        "square",
+        &["data/demo_1/datagen_info/object_poses/square_nut", "NaN in row 7"],
+    ),
+    (
+        "mimicgen",
+        "object_sheared",
+        "square",
+        &[
+            "data/demo_1/datagen_info/object_poses/square_nut",
+            "row 7",
+            "orthonormal",
+        ],
+    ),
+    (
+        "mimicgen",
+        "object_short",
+        "square",
+        &["data/demo_1/datagen_info/object_poses/square_nut", "rows"],
+    ),
+    (
+        "mimicgen",
+        "object_flat",
+        "square",
+        &["data/demo_1/datagen_info/object_poses/square_nut", "(N, 4, 4)"],
+    ),
+    (
+        "mimicgen",
+        "object_text",
+        "square",
+        &["data/demo_1/datagen_info/object_poses/square_nut", "text"],
+    ),
+    (
+        "mimicgen",
+        "object_missing",
+        "square",
+        &["demo_1", "datagen_info/object_poses/square_nut is missing"],
+    ),
+    (
+        "mimicgen",
+        "object_moved",
+        "square",
+        &["demo_1", "datagen_info/object_poses/square_nut differs in row"],
+    ),
     ("mimicgen", "eef_transposed", "square", &["datagen_info/eef_pose"]),
     ("mimicgen", "eef_elsewhere", "square", &["datagen_info/eef_pose"]),
-    ("mimicgen", "target_shifted", "square", &["demo_1", "datagen_info/target_pose differs in row"]),
-    ("mimicgen", "gripper_flipped", "square", &["demo_1", "datagen_info/gripper_action differs in row 0"]),
+    (
+        "mimicgen",
+        "target_shifted",
+        "square",
+        &["demo_1", "datagen_info/target_pose differs in row"],
+    ),
+    (
+        "mimicgen",
+        "gripper_flipped",
+        "square",
+        &["demo_1", "datagen_info/gripper_action differs in row 0"],
+    ),
     ("mimicgen", "group_is_dataset", "square", &["demo_1/datagen_info"]),
     ("mimicgen", "actions_13", "square", &["actions", "(N, 7)"]),
-    ("mimicgen", "object_nan", "robosuite", &["data/demo_1/datagen_info/object_poses/square_nut", "NaN in row 7"]),
-    ("libero", "late_nan", "robosuite", &["data/demo_1/obs/ee_pos", "inf in row 4"]),
+    (
+        "mimicgen",
+        "object_nan",
+        "robosuite",
+        &["data/demo_1/datagen_info/object_poses/square_nut", "NaN in row 7"],
+    ),
+    (
+        "libero",
+        "late_nan",
+        "robosuite",
+        &["data/demo_1/obs/ee_pos", "inf in row 4"],
+    ),
     ("libero", "late_short", "robosuite", &["data/demo_1/obs/ee_pos", "rows"]),
-    ("libero", "late_elsewhere", "robosuite", &["demo_1", "obs/ee_pos is 0.6"]),
-    ("libero", "late_early", "robosuite", &["demo_1", "obs/ee_pos belongs to the state before"]),
+    (
+        "libero",
+        "late_elsewhere",
+        "robosuite",
+        &["demo_1", "obs/ee_pos is 0.6"],
+    ),
+    (
+        "libero",
+        "late_early",
+        "robosuite",
+        &["demo_1", "obs/ee_pos belongs to the state before"],
+    ),
     ("libero", "states_short", "robosuite", &["demo_1", "state"]),
     ("composite", "no_states", "square", &["demo_1", "states"]),
     ("robocasa", "actions_13", "robosuite", &["actions", "(N, 7)"]),
@@ -507,13 +697,18 @@ const MUTATIONS: [(&str, &str, &str, &[&str]); 21] = [
 
 #[test]
 fn damaged_files_are_refused_by_name() {
-    let (Some(files), Some(square)) = (Files::new(), square()) else { return };
+    let (Some(files), Some(square)) = (Files::new(), square()) else {
+        return;
+    };
     let mut odds = Vec::new();
     for (kind, mutation, task, words) in MUTATIONS {
         let made = files.make(kind, &square, &format!("--mutate|{mutation}"));
         let answer = files.run("ingest", task, &made, "");
         if answer.code != Some(2) {
-            odds.push(format!("{kind} {mutation}: is read: {}{}", answer.stdout, answer.stderr));
+            odds.push(format!(
+                "{kind} {mutation}: is read: {}{}",
+                answer.stdout, answer.stderr
+            ));
             continue;
         }
         let sentence = answer.refused();
@@ -523,7 +718,10 @@ fn damaged_files_are_refused_by_name() {
     }
     // Names of objects that are swapped: the tables do not depend on them, and the row names the one that has the object's poses.
     let made = files.make("mimicgen", &square, "--mutate|object_names_swapped");
-    assert_eq!(files.read("square", &made, "").convention("datagen_object").0, "square_peg");
+    assert_eq!(
+        files.read("square", &made, "").convention("datagen_object").0,
+        "square_peg"
+    );
     assert!(odds.is_empty(), "{}", odds.join("\n"));
 }
 
@@ -552,7 +750,13 @@ fn rollouts_from_mimicgen_are_those_from_its_source() {
         Answer::new(&output, files.place.path()).done();
         let results = results(&files.place.artifact(Stage::Rollout));
         let steps = col_f64(&results, "steps").map(<[f64]>::to_vec);
-        let steps = steps.unwrap_or_else(|_| col_u32(&results, "steps").unwrap().iter().map(|n| f64::from(*n)).collect());
+        let steps = steps.unwrap_or_else(|_| {
+            col_u32(&results, "steps")
+                .unwrap()
+                .iter()
+                .map(|n| f64::from(*n))
+                .collect()
+        });
         (steps, format!("{:?}", results.column_by_name("success").unwrap()))
     };
     assert_eq!(outcome(&made, ""), outcome(&square, &first()));

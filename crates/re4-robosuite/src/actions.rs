@@ -141,7 +141,7 @@ impl Osc {
         })
     }
 
-    /// Turns a delta action in the axes of a base into one in world axes. `base` is the orientation of the base in the world frame.
+    /// Converts a delta action in the axes of a base to one in world axes. `base` is the orientation of the base in the world frame.
     /// The command is clipped in the axes of the base first, as the controller does, so that in world axes it can be longer than the
     /// maximum of one axis. Returns `None` unless the scales are the same on all axes of translation and on all axes of rotation,
     /// without an offset.

@@ -180,7 +180,7 @@ impl EnvArgs {
     }
 
     /// The same declaration with a controller that accepts commands of twice the range with the same scale. Deltas that were
-    /// turned from the axes of a base to those of the world can exceed the range of one axis.
+    /// rotated from the axes of a base to those of the world can exceed the range of one axis.
     #[must_use]
     pub fn with_wider_commands(&self) -> Self {
         let twice = |numbers: [f64; 6]| numbers.map(|number| 2.0 * number);

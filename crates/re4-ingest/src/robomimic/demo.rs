@@ -38,7 +38,7 @@ pub struct Demo {
     pub other_goals: Option<Vec<[f64; 6]>>,
     /// Columns 7 to 11 of `actions` of a robot with a mobile base: motion of the base (4) and mode (1).
     pub base_commands: Option<Vec<[f64; 5]>>,
-    /// `obs/ee_pos` of a file that is read by its states, if it exists.
+    /// `obs/ee_pos` of a LIBERO file, if it exists.
     pub late_position: Option<Vec<[f64; 3]>>,
     /// `MimicGen`'s group `datagen_info`, if it exists.
     pub datagen: Option<Datagen>,
@@ -87,6 +87,8 @@ const ABS_ROTATION: Name = ("action_dict/abs_rot_axis_angle", Some(3));
 pub(crate) enum Wanted {
     /// Everything except observations; states are required.
     Raw,
+    /// The same, with the observed position of the end effector in a file of LIBERO.
+    Late,
     /// Everything; observations are required.
     Observed,
     /// The same, with the angular velocities of the end effector.
@@ -264,11 +266,11 @@ fn names_of(
     let others: &[Name] = if wanted == Wanted::Actions { &[] } else { &OTHERS };
     for &name in others {
         let there = has(members, name.0);
-        if there || (name == STATES && wanted == Wanted::Raw) {
+        if there || (name == STATES && matches!(wanted, Wanted::Raw | Wanted::Late)) {
             need(&mut names, name, there);
         }
     }
-    if !matches!(wanted, Wanted::Raw | Wanted::Actions) {
+    if !matches!(wanted, Wanted::Raw | Wanted::Late | Wanted::Actions) {
         if has(members, "obs") {
             let observations = file.members(&format!("{group}/obs"))?;
             let there = |name: Name| has(&observations, name.0.trim_start_matches("obs/"));
@@ -284,7 +286,7 @@ fn names_of(
         } else {
             need(&mut names, ("obs", None), false);
         }
-    } else if wanted == Wanted::Raw && has(members, "obs") {
+    } else if wanted == Wanted::Late && has(members, "obs") {
         let observations = file.members(&format!("{group}/obs"))?;
         names.extend(has(&observations, "ee_pos").then_some(LATE_POSITION));
     }

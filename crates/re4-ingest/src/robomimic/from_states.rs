@@ -61,6 +61,11 @@ impl FromStates {
         }
         let environment = &env.env_name;
         let Some(model) = model else {
+            if let Some(recorded) = relative.recorded_objects().filter(|_| layout == Layout::Observed) {
+                return Err(Hdf5Fault::Other(format!(
+                    "the manipulated object of environment {environment} is unknown; set ingest.object to one of {recorded}, whose poses are in datagen_info/object_poses"
+                )));
+            }
             return Err(Hdf5Fault::Other(format!(
                 "poses of environment {environment} must be computed from the states, but the demonstrations have no attribute model_file; give a file with models"
             )));

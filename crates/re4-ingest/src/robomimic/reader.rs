@@ -261,6 +261,7 @@ impl RobomimicReader {
     fn wanted(&self) -> Wanted {
         match self.layout {
             Layout::Observed => Wanted::Observed,
+            Layout::Raw if self.image_names.are_libero() => Wanted::Late,
             Layout::Raw => Wanted::Raw,
         }
     }
@@ -269,7 +270,7 @@ impl RobomimicReader {
     pub(super) fn read(&self, demo: &DemoName) -> Result<Demo, Hdf5Fault> {
         let wanted = match self.layout {
             Layout::Observed => Wanted::ObservedWithVelocities,
-            Layout::Raw => Wanted::Raw,
+            Layout::Raw => self.wanted(),
         };
         self.find(&demo.name, wanted)?.read(&self.file)
     }

@@ -183,7 +183,11 @@ impl DemoSource for RobomimicSource {
         let mut warnings = self.reader.warnings().to_vec();
         match tally.left_out_warning(self.demos().len()) {
             Some(left_out) => warnings.push(left_out),
-            None => warnings.extend(self.reader.total_warning(tally.frames() as u64)?),
+            None => {
+                let without_first = if self.late { self.demos().len() } else { 0 };
+                let recorded = tally.frames() + without_first;
+                warnings.extend(self.reader.total_warning(recorded as u64)?);
+            }
         }
         warnings.extend(tally.warnings());
         let conventions = self.interpreter.warnings().iter();

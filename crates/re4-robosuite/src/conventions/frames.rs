@@ -1,6 +1,6 @@
 //! The frame of delta actions: the axes of the world, or those of the robot's base, which robosuite 1.5 uses by default.
 //!
-//! If the base is turned, one and the same command moves the end effector in other directions under the two hypotheses. The test
+//! If the base is rotated, one and the same command moves the end effector in other directions under the two hypotheses. The test
 //! compares the motion of the end effector with the motion that the controller makes for the commands, under each of them.
 
 use nalgebra::UnitQuaternion;
@@ -35,7 +35,7 @@ const TEST: Test = Test {
 /// Minimum factor by which one frame must fit better than the other. Below it the data does not decide.
 const BETTER: f64 = 2.0;
 
-/// Determines the frame of deltas. The declared frame is used if the data does not decide, as for a base that is hardly turned. Returns
+/// Determines the frame of deltas. The declared frame is used if the data does not decide, as for a base that is hardly rotated. Returns
 /// `None` if the motion follows the actions in neither frame: they are no deltas.
 ///
 /// # Errors
@@ -126,5 +126,157 @@ pub fn delta_frame(
             let row = proof("action_frame", name(value), basis, TEST, &candidates, frames, None);
             Ok(Some((value, row)))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    const ENV: &str = r#"{"env_name": "Lift", "env_version": "1.5.1", "type": 1, "env_kwargs": {"robots": ["Panda"], "control_freq": 20,
+        "controller_configs": {"type": "BASIC", "body_parts": {"right": {"type": "OSC_POSE", "input_min": -1, "input_max": 1,
+        "output_min": [-0.05, -0.05, -0.05, -0.5, -0.5, -0.5], "output_max": [0.05, 0.05, 0.05, 0.5, 0.5, 0.5], "kp": 150,
+        "input_type": "delta", "input_ref_frame": "FRAME"}}}}}"#;
+
+    /// The end effector of a controller that follows its equation of motion, with commands in the axes of a base.
+    fn recorded(base: &UnitQuaternion<f64>) -> (Vec<[f64; 3]>, Vec<Action>) {
+        let env = EnvArgs::parse(ENV).unwrap();
+        let (osc, response) = (Osc::from_env(&env).unwrap(), Response::of(&env));
+        let actions: Vec<Action> = (0..120)
+            .map(|t| {
+                let t = f64::from(t);
+                [
+                    (0.31 * t).sin(),
+                    (0.17 * t + 1.0).sin(),
+                    (0.07 * t).cos(),
+                    0.0,
+                    0.0,
+                    0.0,
+                    -1.0,
+                ]
+            })
+            .collect();
+        let ask = |t: usize| {
+            let motion = osc.motion(&actions[t]);
+            base * Vector3::new(motion[0], motion[1], motion[2])
+        };
+        let (mut position, mut step) = (Vector3::zeros(), Vector3::zeros());
+        let mut positions = vec![position.into()];
+        for t in 1..actions.len() {
+            step = step * response.kept + ask(t) * response.now + ask(t - 1) * response.before;
+            position += step;
+            positions.push(position.into());
+        }
+        (positions, actions)
+    }
+
+    fn frame(
+        angle: f64,
+        declared: &str,
+        set: Option<ActionFrame>,
+        moved_by: f64,
+    ) -> Result<Option<(ActionFrame, Basis)>, Unproven> {
+        let yaw = |angle: f64| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
+        let (eef_pos, actions) = recorded(&yaw(moved_by));
+        let base = vec![yaw(angle); actions.len()];
+        let demo = BasedDeltas {
+            eef_pos: &eef_pos,
+            actions: &actions,
+            base: &base,
+        };
+        let env = EnvArgs::parse(&ENV.replace("FRAME", declared)).unwrap();
+        let settings = Settings {
+            action_frame: set,
+            ..Settings::default()
+        };
+        let found = delta_frame(&[demo], &Osc::from_env(&env).unwrap(), &env, &settings)?;
+        Ok(found.map(|(frame, proof)| (frame, proof.basis)))
+    }
+
+    #[test]
+    fn the_motion_decides_for_a_base_that_is_rotated() {
+        use ActionFrame::{Base, World};
+        for angle in [0.7, 1.6, -2.0, 3.1] {
+            assert_eq!(frame(angle, "base", None, angle).unwrap(), Some((Base, Basis::Data)));
+            assert_eq!(frame(angle, "world", None, 0.0).unwrap(), Some((World, Basis::Data)));
+            assert!(matches!(
+                frame(angle, "base", None, 0.0),
+                Err(Unproven::Declared { .. })
+            ));
+            assert!(matches!(
+                frame(angle, "world", None, angle),
+                Err(Unproven::Declared { .. })
+            ));
+            assert_eq!(
+                frame(angle, "base", Some(World), 0.0).unwrap(),
+                Some((World, Basis::Data))
+            );
+            assert!(matches!(
+                frame(angle, "base", Some(World), angle),
+                Err(Unproven::Setting { .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn a_base_that_is_hardly_rotated_decides_nothing() {
+        use ActionFrame::{Base, World};
+        assert_eq!(frame(0.02, "base", None, 0.02).unwrap(), Some((Base, Basis::Declared)));
+        assert_eq!(
+            frame(0.02, "base", Some(World), 0.02).unwrap(),
+            Some((World, Basis::Setting))
+        );
+    }
+
+    #[test]
+    fn actions_that_are_no_deltas_have_no_frame() {
+        let (eef_pos, mut actions) = recorded(&UnitQuaternion::identity());
+        let base = vec![UnitQuaternion::from_euler_angles(0.0, 0.0, 2.0); actions.len()];
+        for (t, action) in actions.iter_mut().enumerate() {
+            *action = [
+                (1.9 * t as f64).sin(),
+                (2.7 * t as f64).cos(),
+                (0.9 * t as f64).sin(),
+                0.0,
+                0.0,
+                0.0,
+                1.0,
+            ];
+        }
+        let demo = BasedDeltas {
+            eef_pos: &eef_pos,
+            actions: &actions,
+            base: &base,
+        };
+        let env = EnvArgs::parse(&ENV.replace("FRAME", "base")).unwrap();
+        let osc = Osc::from_env(&env).unwrap();
+        assert!(
+            delta_frame(&[demo], &osc, &env, &Settings::default())
+                .unwrap()
+                .is_none()
+        );
+    }
+
+    #[test]
+    fn a_command_is_clipped_before_it_is_rotated() {
+        let env = EnvArgs::parse(ENV).unwrap();
+        let osc = Osc::from_env(&env).unwrap();
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_4);
+        let action = [3.0, 1.0, -0.5, 0.2, 0.0, 0.1, -1.0];
+        let rotated = osc.in_world_axes(&action, &rotation).unwrap();
+        let wide = Osc::from_env(&env.with_wider_commands()).unwrap();
+        let [before, after] =
+            [osc.motion(&action), wide.motion(&rotated)].map(|motion| Vector3::new(motion[0], motion[1], motion[2]));
+        assert!((rotation * before - after).norm() < 1e-15);
+        assert!((rotated[1] - 2.0_f64.sqrt()).abs() < 1e-15, "{rotated:?}");
+        let uneven = EnvArgs::parse(&ENV.replace("[0.05, 0.05, 0.05, 0.5", "[0.05, 0.04, 0.05, 0.5")).unwrap();
+        assert!(
+            Osc::from_env(&uneven)
+                .unwrap()
+                .in_world_axes(&action, &rotation)
+                .is_none()
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! Delta actions in the axes of the robot's base, and robots whose base moves.
 //!
 //! robosuite 1.5 reads deltas in the frame of the robot's base unless `input_ref_frame` is `world`. Tables have actions in world axes,
-//! so such deltas are turned when they are read. A base that is not turned needs no conversion.
+//! so such deltas are rotated when they are read. A base that is not rotated needs no conversion.
 //!
 //! Actions of a mobile manipulator (`PandaOmron` in `RoboCasa`) have 12 columns: translation 3, rotation 3, gripper 1, base 4 (planar
 //! motion and torso), and a mode that is above 0 while the base moves instead of the arm.
@@ -18,8 +18,8 @@ use super::super::interpret::{LEAVE_OUT, Prepared};
 use super::super::stated::convention;
 use crate::tables::Convention;
 
-/// Smallest angle (radians) by which a base counts as turned. Models are saved with six digits.
-const TURNED: f64 = 1e-5;
+/// Smallest angle (radians) by which a base counts as rotated. Models are saved with six digits.
+const ROTATED: f64 = 1e-5;
 /// How far a delta may exceed the controller's range by rounding.
 const TOLERANCE: f64 = 1e-6;
 
@@ -34,7 +34,7 @@ pub(in crate::robomimic) struct BaseFrame {
 
 impl BaseFrame {
     /// Whether actions must be converted.
-    pub(super) fn is_turned(&self) -> bool {
+    pub(super) fn is_rotated(&self) -> bool {
         self.osc.is_some()
     }
 
@@ -54,14 +54,14 @@ impl BaseFrame {
         let Ok(osc) = Osc::from_env(env) else {
             return Ok(nothing);
         };
-        let mut turned = false;
+        let mut rotated = false;
         let mut bases = Vec::new();
         for prepared in &*first {
             let rotations = rotations(&prepared.demo, prepared.model.as_deref())?;
-            turned |= rotations.iter().flatten().any(|rotation| rotation.angle() > TURNED);
+            rotated |= rotations.iter().flatten().any(|rotation| rotation.angle() > ROTATED);
             bases.push(rotations);
         }
-        if !turned {
+        if !rotated {
             return Ok(nothing);
         }
         let known = first.iter().zip(&bases).filter_map(|(prepared, base)| {
@@ -107,15 +107,15 @@ impl BaseFrame {
                 "a delta action exceeds [-1, 1] in row {row} (ingest.conventions.allow_actions_beyond_range = true accepts it); {LEAVE_OUT}"
             )));
         }
-        let turned: Option<Vec<[f64; 7]>> = demo
+        let rotated: Option<Vec<[f64; 7]>> = demo
             .actions
             .iter()
             .zip(&rotations)
             .map(|(action, base)| osc.in_world_axes(action, base))
             .collect();
-        demo.actions = turned.ok_or_else(|| {
+        demo.actions = rotated.ok_or_else(|| {
             refuse(
-                "its actions are in the frame of a turned base, but the scales of its controller differ between axes or have an offset, so they cannot be turned; correct env_args".to_owned(),
+                "its actions are in the frame of a rotated base, but the scales of its controller differ between axes or have an offset, so they cannot be rotated; correct env_args".to_owned(),
             )
         })?;
         Ok(())

@@ -1,12 +1,13 @@
 //! Rows of the table `conventions` for comparisons of poses.
 
 use nalgebra::Isometry3;
-use re4_stats::{nearest_rank, sorted};
+use re4_stats::{nearest_rank, sorted, upper_median};
 
 use crate::tables::Convention;
 
-/// Maximum residual (metres or radians) of relations that are exact except for rounding. Models are saved with six digits.
-pub(super) const EXACT: f64 = 1e-3;
+/// Maximum residual (metres or radians) of poses that belong to the same state. Sensors of a running simulation can be one of its
+/// steps late (2 ms): this is the motion of an object at 2.5 m/s or 2.5 rad/s. Observations that were made from states are exact.
+pub(super) const CLOSE: f64 = 5e-3;
 
 /// Larger one of distance (metres) and angle (radians).
 pub(super) fn difference(a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
@@ -33,6 +34,18 @@ impl Fit {
             high: quantile(0.99),
             median: quantile(0.5),
             frames: residuals.len(),
+        }
+    }
+
+    /// The fit of a file from those of its demonstrations with residuals: the median demonstration. A demonstration that contradicts
+    /// the others does not change it; it is found when demonstrations are checked one by one.
+    pub(super) fn of_demos(demos: impl Iterator<Item = Self>) -> Self {
+        let demos: Vec<Self> = demos.filter(|fit| fit.frames > 0).collect();
+        let middle = |value: fn(&Self) -> f64| upper_median(demos.iter().map(value)).unwrap_or(f64::INFINITY);
+        Self {
+            high: middle(|fit| fit.high),
+            median: middle(|fit| fit.median),
+            frames: demos.iter().map(|fit| fit.frames).sum(),
         }
     }
 }

@@ -11,7 +11,7 @@ use super::super::fault::Hdf5Fault;
 use super::super::interpret::{Prepared, Reading};
 use super::super::reader::RobomimicReader;
 use super::bddl::{self, Predicate};
-use super::evidence::{EXACT, Fit, declared, proven};
+use super::evidence::{CLOSE, Fit, declared, proven};
 use crate::tables::Convention;
 
 /// Attribute of `/data` that states in which direction the rows of images run. Only LIBERO's files have it.
@@ -116,7 +116,7 @@ const MOVES: f64 = 2e-3;
 /// Minimum number of such steps.
 const STEPS: usize = 20;
 /// Minimum factor between the residuals of the two hypotheses.
-const BETTER: f64 = 2.0;
+const BETTER: f64 = 4.0;
 
 /// Median distance (metres) beyond which observations are of other states. LIBERO replays actions to make observations, which ends
 /// millimetres apart after contacts.
@@ -145,7 +145,7 @@ pub(super) fn prove(first: &[Prepared]) -> (bool, Convention) {
             EVIDENCE,
             after,
             Some(before),
-            EXACT,
+            CLOSE,
         )
     } else if decides(before, after) {
         proven(
@@ -154,7 +154,7 @@ pub(super) fn prove(first: &[Prepared]) -> (bool, Convention) {
             EVIDENCE,
             before,
             Some(after),
-            EXACT,
+            CLOSE,
         )
     } else {
         declared(
@@ -182,7 +182,7 @@ fn fits(residuals: impl Iterator<Item = Vec<[f64; 2]>>) -> [Fit; 2] {
 
 /// Whether the data decides for the first of two hypotheses.
 fn decides(own: Fit, other: Fit) -> bool {
-    own.frames >= STEPS && own.median <= EXACT && other.median >= BETTER * own.median
+    own.frames >= STEPS && own.median <= CLOSE && other.median >= BETTER * own.median
 }
 
 /// Checks the observations of one demonstration; `late` is what is proven for the file.
@@ -226,13 +226,18 @@ impl Cameras {
     pub(in crate::robomimic) fn of(convention: Option<&str>) -> Self {
         Self {
             libero: convention.is_some(),
-            // robosuite keeps the order in which OpenGL renders rows, from the bottom up, unless told otherwise.
+            // robosuite keeps the order in which OpenGL renders rows, from the bottom up, by default.
             upside_down: convention.is_some_and(|convention| !convention.eq_ignore_ascii_case("opencv")),
         }
     }
 
     /// The attribute of `/data` to give to [`Self::of`].
     pub(in crate::robomimic) const ATTRIBUTE: &'static str = IMAGE_CONVENTION;
+
+    /// Whether the file names its images as LIBERO does.
+    pub(in crate::robomimic) fn are_libero(self) -> bool {
+        self.libero
+    }
 
     /// Whether rows of images run from the bottom up.
     pub(in crate::robomimic) fn upside_down(self) -> bool {

@@ -1,5 +1,7 @@
 //! `MimicGen`'s files: which object a task moves, and the proof of the poses in `datagen_info`.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use re4_robosuite::actions::{Action, Osc};
 use re4_robosuite::hand_from_site;
@@ -9,7 +11,7 @@ use super::super::demo::Demo;
 use super::super::fault::Hdf5Fault;
 use super::super::interpret::Reading;
 use super::datagen::Datagen;
-use super::evidence::{EXACT, Fit, difference, proven};
+use super::evidence::{CLOSE, Fit, difference, proven};
 use crate::tables::Convention;
 
 /// A task of `MimicGen`, by the names in `datagen_info/object_poses`. Source: `MimicGen`'s `env_interfaces/robosuite.py`.
@@ -144,7 +146,7 @@ pub(super) fn body_of(name: &str, model: &Model, demos: &[Result<Demo, Hdf5Fault
             Some((body, Fit::of(residuals)))
         });
         let (body, fit) = fits.min_by(|a, b| a.1.high.total_cmp(&b.1.high))?;
-        (fit.high <= EXACT).then(|| body.to_owned())
+        (fit.high <= CLOSE).then(|| body.to_owned())
     })
 }
 
@@ -189,108 +191,112 @@ fn target_of(osc: &Osc, delta: &Action, site: &Isometry3<f64>) -> Isometry3<f64>
     )
 }
 
-/// Differences of `eef_pose` from the grip site and from the hand body at the same place.
-fn eef_fits<'a>(
-    pairs: impl Iterator<Item = (&'a Isometry3<f64>, &'a Isometry3<f64>)> + Clone,
-) -> [(&'static str, Fit); 2] {
-    let site = pairs.clone().map(|(site, eef)| difference(site, eef));
-    let hand = pairs.map(|(site, eef)| {
-        let hand = Isometry3::from_parts(site.translation, site.rotation * hand_from_site().inverse());
-        difference(&hand, eef)
-    });
-    [("grip_site", Fit::of(site)), ("hand_body", Fit::of(hand))]
+/// The hand body of a grip site, at the place of the site as in observations.
+fn hand_of(site: &Isometry3<f64>) -> Isometry3<f64> {
+    Isometry3::from_parts(site.translation, site.rotation * hand_from_site().inverse())
 }
+
+/// A demonstration with `datagen_info`.
+type Both<'a> = (&'a Checked<'a>, &'a Datagen);
 
 /// Proves the poses in `datagen_info` from the first demonstrations.
 pub(super) fn prove(views: &[Checked<'_>]) -> Result<Proven, Hdf5Fault> {
+    let both: Vec<Both<'_>> = views.iter().filter_map(|view| Some((view, view.datagen?))).collect();
     let mut found = Proven::default();
-    let with = || views.iter().filter_map(|view| Some((view, view.datagen?)));
-    let refuse = |what: String| {
-        Hdf5Fault::Other(format!(
-            "{what}; restore datagen_info, or remove that group, which is not needed if observations or states have the poses"
-        ))
-    };
-    let pairs = with().filter_map(|(view, datagen)| Some(view.sites.iter().zip(datagen.eef.as_ref()?)));
-    let pairs: Vec<_> = pairs.flatten().collect();
-    if !pairs.is_empty() {
-        let mut fits = eef_fits(pairs.iter().copied());
-        fits.sort_by(|a, b| a.1.high.total_cmp(&b.1.high));
-        let [(value, own), (_, rival)] = fits;
-        if own.high > EXACT {
-            return Err(refuse(format!(
-                "datagen_info/eef_pose is neither the pose of the grip site nor that of the hand: it differs from the closer one by {:.2e} m or rad (99th percentile)",
-                own.high
-            )));
-        }
-        let evidence = "difference of datagen_info/eef_pose from the grip site (grip_site) and from the hand body (hand_body) of the tables";
-        found.rows.push(proven(
-            "datagen_eef_pose",
-            value.to_owned(),
-            evidence,
-            own,
-            Some(rival),
-            EXACT,
-        ));
+    found.rows.extend(prove_eef(&both)?);
+    if let Some((name, row)) = prove_object(&both)? {
+        found.follows = Some(name);
+        found.rows.push(row);
     }
-    let names = with().flat_map(|(_, datagen)| datagen.objects.iter().map(|(name, _)| name.as_str()));
-    let names: std::collections::BTreeSet<&str> = names.collect();
-    let mut fits: Vec<(&str, Fit)> = names
-        .into_iter()
-        .map(|name| {
-            let residuals = with().filter_map(|(view, datagen)| {
-                let poses = datagen.object(name)?;
-                Some(
-                    view.object?
-                        .iter()
-                        .zip(poses)
-                        .map(|(known, pose)| difference(&pose_of(known), pose)),
-                )
-            });
-            (name, Fit::of(residuals.flatten()))
-        })
-        .collect();
-    fits.sort_by(|a, b| a.1.high.total_cmp(&b.1.high));
-    if let Some((name, own)) = fits.first().copied().filter(|(_, own)| own.frames > 0) {
-        if own.high > EXACT {
-            return Err(refuse(format!(
-                "no pose in datagen_info/object_poses is that of the manipulated object: {name} differs least, by {:.2e} m or rad (99th percentile)",
-                own.high
-            )));
-        }
-        let rival = fits.get(1).map(|(_, rival)| *rival);
-        let evidence = "difference of the poses in datagen_info/object_poses from those of the manipulated object in observations or states";
+    let residuals = both.iter().filter_map(|(view, datagen)| {
+        let rows = view.deltas?.iter().zip(view.sites).zip(datagen.target.as_ref()?);
+        Some(Fit::of(rows.map(|((delta, site), target)| {
+            difference(&target_of(view.osc, delta, site), target)
+        })))
+    });
+    let fit = Fit::of_demos(residuals);
+    if fit.frames > 0 && fit.high > CLOSE {
+        found.warnings.push(format!(
+            "the targets in datagen_info/target_pose differ from those of the delta actions by {:.2e} m or rad (99th percentile); the actions are used",
+            fit.high
+        ));
+    } else if fit.frames > 0 {
+        found.targets = true;
+        let evidence = "difference of datagen_info/target_pose from the goals that delta actions and end effector give";
+        let value = "goals of the actions".to_owned();
         found
             .rows
-            .push(proven("datagen_object", name.to_owned(), evidence, own, rival, EXACT));
-        found.follows = Some(name.to_owned());
-    }
-    let residuals = with().filter_map(|(view, datagen)| {
-        let rows = view.deltas?.iter().zip(view.sites).zip(datagen.target.as_ref()?);
-        let osc = view.osc;
-        Some(rows.map(move |((delta, site), target)| difference(&target_of(osc, delta, site), target)))
-    });
-    let fit = Fit::of(residuals.flatten());
-    if fit.frames > 0 {
-        if fit.high > EXACT {
-            found.warnings.push(format!(
-                "the targets in datagen_info/target_pose differ from those of the delta actions by {:.2e} m or rad (99th percentile); the actions are used",
-                fit.high
-            ));
-        } else {
-            found.targets = true;
-            let evidence =
-                "difference of datagen_info/target_pose from the goals that delta actions and end effector give";
-            found.rows.push(proven(
-                "datagen_target_pose",
-                "goals of the actions".to_owned(),
-                evidence,
-                fit,
-                None,
-                EXACT,
-            ));
-        }
+            .push(proven("datagen_target_pose", value, evidence, fit, None, CLOSE));
     }
     Ok(found)
+}
+
+fn refused(what: &str) -> Hdf5Fault {
+    Hdf5Fault::Other(format!(
+        "{what}; restore datagen_info, or remove that group, which is not needed if observations or states have the poses"
+    ))
+}
+
+/// Proves which frame `eef_pose` is.
+fn prove_eef(both: &[Both<'_>]) -> Result<Option<Convention>, Hdf5Fault> {
+    let fit = |frame: fn(&Isometry3<f64>) -> Isometry3<f64>| {
+        let demos = both.iter().filter_map(|(view, datagen)| {
+            let pairs = view.sites.iter().zip(datagen.eef.as_ref()?);
+            Some(Fit::of(pairs.map(|(site, eef)| difference(&frame(site), eef))))
+        });
+        Fit::of_demos(demos)
+    };
+    let mut fits = [("grip_site", fit(|site| *site)), ("hand_body", fit(hand_of))];
+    fits.sort_by(|a, b| a.1.high.total_cmp(&b.1.high));
+    let [(value, own), (_, rival)] = fits;
+    if own.frames == 0 {
+        return Ok(None);
+    }
+    if own.high > CLOSE {
+        return Err(refused(&format!(
+            "datagen_info/eef_pose is neither the pose of the grip site nor that of the hand: it differs from the closer one by {:.2e} m or rad (99th percentile)",
+            own.high
+        )));
+    }
+    let evidence = "difference of datagen_info/eef_pose from the grip site (grip_site) and from the hand body (hand_body) of the tables";
+    Ok(Some(proven(
+        "datagen_eef_pose",
+        value.to_owned(),
+        evidence,
+        own,
+        Some(rival),
+        CLOSE,
+    )))
+}
+
+/// Proves which name in `object_poses` has the poses of the manipulated object.
+fn prove_object(both: &[Both<'_>]) -> Result<Option<(String, Convention)>, Hdf5Fault> {
+    let names = both
+        .iter()
+        .flat_map(|(_, datagen)| datagen.objects.iter().map(|(name, _)| name.as_str()));
+    let names: BTreeSet<&str> = names.collect();
+    let fit = |name: &str| {
+        let demos = both.iter().filter_map(|(view, datagen)| {
+            let pairs = view.object?.iter().zip(datagen.object(name)?);
+            Some(Fit::of(pairs.map(|(known, pose)| difference(&pose_of(known), pose))))
+        });
+        Fit::of_demos(demos)
+    };
+    let mut fits: Vec<(&str, Fit)> = names.into_iter().map(|name| (name, fit(name))).collect();
+    fits.sort_by(|a, b| a.1.high.total_cmp(&b.1.high));
+    let Some((name, own)) = fits.first().copied().filter(|(_, own)| own.frames > 0) else {
+        return Ok(None);
+    };
+    if own.high > CLOSE {
+        return Err(refused(&format!(
+            "no pose in datagen_info/object_poses is that of the manipulated object: {name} has the smallest difference, {:.2e} m or rad (99th percentile)",
+            own.high
+        )));
+    }
+    let rival = fits.get(1).map(|(_, rival)| *rival);
+    let evidence = "difference of the poses in datagen_info/object_poses from those of the manipulated object in observations or states";
+    let row = proven("datagen_object", name.to_owned(), evidence, own, rival, CLOSE);
+    Ok(Some((name.to_owned(), row)))
 }
 
 /// Checks the poses in `datagen_info` of one demonstration; the error says what differs.
@@ -300,14 +306,12 @@ pub(super) fn check(view: &Checked<'_>, follows: Option<&str>, targets: bool) ->
         residuals
             .enumerate()
             .reduce(|worst, next| if next.1 > worst.1 { next } else { worst })
-            .filter(|(_, residual)| *residual > 10.0 * EXACT)
+            .filter(|(_, residual)| *residual > 2.0 * CLOSE)
     };
     if let Some(eef) = &datagen.eef {
-        let both = view.sites.iter().zip(eef).map(|(site, eef)| {
-            let hand = Isometry3::from_parts(site.translation, site.rotation * hand_from_site().inverse());
-            difference(site, eef).min(difference(&hand, eef))
-        });
-        if let Some((row, by)) = worst(&mut both.into_iter()) {
+        let pairs = view.sites.iter().zip(eef);
+        let mut both = pairs.map(|(site, eef)| difference(site, eef).min(difference(&hand_of(site), eef)));
+        if let Some((row, by)) = worst(&mut both) {
             return Err(format!(
                 "datagen_info/eef_pose differs in row {row} from the end effector by {by:.3} m or rad"
             ));

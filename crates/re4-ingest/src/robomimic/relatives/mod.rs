@@ -136,6 +136,11 @@ impl Relative {
         self.poses_of.iter().find(|known| *known == name).cloned()
     }
 
+    /// The names in `datagen_info/object_poses`; `None` if there are none.
+    pub(super) fn recorded_objects(&self) -> Option<String> {
+        (!self.poses_of.is_empty()).then(|| self.poses_of.join(", "))
+    }
+
     /// The body that a name in `datagen_info/object_poses` stands for: the free body that has these poses.
     pub(super) fn body_of(&self, name: &str, model: &Model, demos: &[Result<Demo, Hdf5Fault>]) -> Option<String> {
         mimicgen::body_of(name, model, demos)
@@ -143,7 +148,7 @@ impl Relative {
 
     /// Whether models of all demonstrations are needed to read the actions.
     pub(super) fn needs_models(&self) -> bool {
-        self.base.is_turned()
+        self.base.is_rotated()
     }
 
     /// Converts the actions of a demonstration to world axes, if they are in those of the robot's base.
@@ -169,7 +174,7 @@ impl Relative {
 
     /// The declaration and the settings with which conventions are proven after [`Self::learn_frame`].
     pub(super) fn adapted(&self, env: EnvArgs, settings: &Settings) -> (EnvArgs, Settings) {
-        if !self.base.is_turned() {
+        if !self.base.is_rotated() {
             return (env, *settings);
         }
         let settings = Settings {
