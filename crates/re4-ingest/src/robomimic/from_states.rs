@@ -82,12 +82,8 @@ impl FromStates {
             .object
             .clone()
             .or_else(|| reading.task.map(|task| task.object.to_owned()))
-            .or_else(|| relative.object(model).map(|(object, _)| object));
-        // A name in datagen_info stands for the body that has its poses.
-        let named = named.map(|name| match model.object(&name) {
-            Ok(_) => name,
-            Err(_) => relative.body_of(&name, model, demos).unwrap_or(name),
-        });
+            .map(|name| Relative::body_of(&name, model, demos).unwrap_or(name))
+            .or_else(|| Relative::body_of(&relative.object(model)?, model, demos));
         let candidates: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
         let object = named.ok_or_else(|| {
         Hdf5Fault::Other(if candidates.is_empty() {

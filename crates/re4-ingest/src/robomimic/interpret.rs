@@ -19,7 +19,7 @@ use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::from_states::{FromStates, Poses};
 use super::reader::RobomimicReader;
-use super::relatives::{Checked, Relative, check_base, check_task};
+use super::relatives::{Checked, Relative, check_base, check_task, refuse_two_arms};
 use super::stated::{convention, stated};
 use crate::demos::Matrix;
 use crate::error::{Fault, IngestError};
@@ -82,6 +82,7 @@ impl Interpreter {
 
     fn learn_checked(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), Hdf5Fault> {
         let env = reader.environment(reading.env_args.as_deref())?;
+        refuse_two_arms(reader, &env)?;
         check_task(&env, reading.task)?;
         let mut relative = Relative::of(reader, reading, &env)?;
         let (mut first, from_states, mut left_out) = Prepared::gather(reader, reading, &env, &relative)?;

@@ -151,10 +151,12 @@ pub(super) fn body_of(name: &str, model: &Model, demos: &[Result<Demo, Hdf5Fault
 }
 
 /// What is proven of the poses in `datagen_info`.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Proven {
     /// The name of the manipulated object in `object_poses`.
     pub(super) follows: Option<String>,
+    /// Whether `eef_pose` is the pose of the end effector.
+    pub(super) eef: bool,
     /// Whether `target_pose` has the goals of the actions.
     pub(super) targets: bool,
     pub(super) rows: Vec<Convention>,
@@ -203,10 +205,23 @@ type Both<'a> = (&'a Checked<'a>, &'a Datagen);
 pub(super) fn prove(views: &[Checked<'_>]) -> Result<Proven, Hdf5Fault> {
     let both: Vec<Both<'_>> = views.iter().filter_map(|view| Some((view, view.datagen?))).collect();
     let mut found = Proven::default();
-    found.rows.extend(prove_eef(&both)?);
-    if let Some((name, row)) = prove_object(&both)? {
-        found.follows = Some(name);
-        found.rows.push(row);
+    // Poses that no column depends on are not used if they contradict the others.
+    let needed = views.iter().any(|view| view.object.is_none());
+    match prove_eef(&both) {
+        Ok(row) => {
+            found.eef = row.is_some();
+            found.rows.extend(row);
+        }
+        Err(what) if needed => return Err(refused(&what)),
+        Err(what) => found.warnings.push(format!("{what}; it is not used")),
+    }
+    match prove_object(&both) {
+        Ok(proven) => {
+            let (name, row) = proven.unzip();
+            found.follows = name;
+            found.rows.extend(row);
+        }
+        Err(what) => found.warnings.push(format!("{what}; they are not used")),
     }
     let residuals = both.iter().filter_map(|(view, datagen)| {
         let rows = view.deltas?.iter().zip(view.sites).zip(datagen.target.as_ref()?);
@@ -233,12 +248,12 @@ pub(super) fn prove(views: &[Checked<'_>]) -> Result<Proven, Hdf5Fault> {
 
 fn refused(what: &str) -> Hdf5Fault {
     Hdf5Fault::Other(format!(
-        "{what}; restore datagen_info, or remove that group, which is not needed if observations or states have the poses"
+        "{what}; restore it, since the poses of the object in that group are in the same frame"
     ))
 }
 
 /// Proves which frame `eef_pose` is.
-fn prove_eef(both: &[Both<'_>]) -> Result<Option<Convention>, Hdf5Fault> {
+fn prove_eef(both: &[Both<'_>]) -> Result<Option<Convention>, String> {
     let fit = |frame: fn(&Isometry3<f64>) -> Isometry3<f64>| {
         let demos = both.iter().filter_map(|(view, datagen)| {
             let pairs = view.sites.iter().zip(datagen.eef.as_ref()?);
@@ -253,10 +268,10 @@ fn prove_eef(both: &[Both<'_>]) -> Result<Option<Convention>, Hdf5Fault> {
         return Ok(None);
     }
     if own.high > CLOSE {
-        return Err(refused(&format!(
+        return Err(format!(
             "datagen_info/eef_pose is neither the pose of the grip site nor that of the hand: it differs from the closer one by {:.2e} m or rad (99th percentile)",
             own.high
-        )));
+        ));
     }
     let evidence = "difference of datagen_info/eef_pose from the grip site (grip_site) and from the hand body (hand_body) of the tables";
     Ok(Some(proven(
@@ -270,7 +285,7 @@ fn prove_eef(both: &[Both<'_>]) -> Result<Option<Convention>, Hdf5Fault> {
 }
 
 /// Proves which name in `object_poses` has the poses of the manipulated object.
-fn prove_object(both: &[Both<'_>]) -> Result<Option<(String, Convention)>, Hdf5Fault> {
+fn prove_object(both: &[Both<'_>]) -> Result<Option<(String, Convention)>, String> {
     let names = both
         .iter()
         .flat_map(|(_, datagen)| datagen.objects.iter().map(|(name, _)| name.as_str()));
@@ -288,10 +303,10 @@ fn prove_object(both: &[Both<'_>]) -> Result<Option<(String, Convention)>, Hdf5F
         return Ok(None);
     };
     if own.high > CLOSE {
-        return Err(refused(&format!(
-            "no pose in datagen_info/object_poses is that of the manipulated object: {name} has the smallest difference, {:.2e} m or rad (99th percentile)",
+        return Err(format!(
+            "no poses in datagen_info/object_poses are those of the manipulated object: {name} has the smallest difference, {:.2e} m or rad (99th percentile)",
             own.high
-        )));
+        ));
     }
     let rival = fits.get(1).map(|(_, rival)| *rival);
     let evidence = "difference of the poses in datagen_info/object_poses from those of the manipulated object in observations or states";
@@ -300,7 +315,7 @@ fn prove_object(both: &[Both<'_>]) -> Result<Option<(String, Convention)>, Hdf5F
 }
 
 /// Checks the poses in `datagen_info` of one demonstration; the error says what differs.
-pub(super) fn check(view: &Checked<'_>, follows: Option<&str>, targets: bool) -> Result<(), String> {
+pub(super) fn check(view: &Checked<'_>, proven: &Proven) -> Result<(), String> {
     let Some(datagen) = view.datagen else { return Ok(()) };
     let worst = |residuals: &mut dyn Iterator<Item = f64>| {
         residuals
@@ -308,7 +323,7 @@ pub(super) fn check(view: &Checked<'_>, follows: Option<&str>, targets: bool) ->
             .reduce(|worst, next| if next.1 > worst.1 { next } else { worst })
             .filter(|(_, residual)| *residual > 2.0 * CLOSE)
     };
-    if let Some(eef) = &datagen.eef {
+    if let (true, Some(eef)) = (proven.eef, &datagen.eef) {
         let pairs = view.sites.iter().zip(eef);
         let mut both = pairs.map(|(site, eef)| difference(site, eef).min(difference(&hand_of(site), eef)));
         if let Some((row, by)) = worst(&mut both) {
@@ -317,7 +332,7 @@ pub(super) fn check(view: &Checked<'_>, follows: Option<&str>, targets: bool) ->
             ));
         }
     }
-    if let (Some(name), Some(object)) = (follows, view.object) {
+    if let (Some(name), Some(object)) = (&proven.follows, view.object) {
         let Some(poses) = datagen.object(name) else {
             return Err(format!(
                 "datagen_info/object_poses/{name} is missing, which the other demonstrations have"
@@ -333,7 +348,7 @@ pub(super) fn check(view: &Checked<'_>, follows: Option<&str>, targets: bool) ->
             ));
         }
     }
-    if let (true, Some(deltas), Some(target)) = (targets, view.deltas, &datagen.target) {
+    if let (true, Some(deltas), Some(target)) = (proven.targets, view.deltas, &datagen.target) {
         let rows = deltas.iter().zip(view.sites).zip(target);
         let residuals = rows.map(|((delta, site), target)| difference(&target_of(view.osc, delta, site), target));
         if let Some((row, by)) = worst(&mut residuals.into_iter()) {

@@ -24,10 +24,9 @@ use super::interpret::{Prepared, Reading};
 use super::reader::RobomimicReader;
 use crate::tables::Convention;
 
-use arms::refuse_two_arms;
 use base::BaseFrame;
 
-pub(super) use arms::check_task;
+pub(super) use arms::{check_task, refuse_two_arms};
 pub(super) use base::check_base;
 pub(super) use datagen::{Datagen, FoundDatagen, GROUP as DATAGEN};
 pub(super) use libero::Cameras;
@@ -52,10 +51,8 @@ pub(super) struct Relative {
     target: Option<String>,
     /// Names in `datagen_info/object_poses` of the first demonstration.
     poses_of: Vec<String>,
-    /// The name in `datagen_info/object_poses` of the manipulated object.
-    follows: Option<String>,
-    /// Whether `datagen_info/target_pose` has the goals of the actions.
-    targets: bool,
+    /// What is proven of `datagen_info`.
+    datagen: mimicgen::Proven,
     /// The frame of delta actions, if it is that of the robot's base.
     base: BaseFrame,
     /// Whether the observations of the file are one frame late.
@@ -71,16 +68,14 @@ impl Relative {
     /// Finds out what a file is, from its attributes and the names of its datasets.
     ///
     /// # Errors
-    /// The file moves two arms or several objects, or its goal is not to place an object, and no setting names an object.
+    /// The file moves several objects, or its goal is not to place an object, and no setting names an object.
     pub(super) fn of(reader: &RobomimicReader, reading: &Reading, env: &EnvArgs) -> Result<Self, Hdf5Fault> {
-        refuse_two_arms(reader, env)?;
         let mut relative = Self {
             family: Family::Plain,
             object: None,
             target: None,
             poses_of: reader.datagen_objects()?,
-            follows: None,
-            targets: false,
+            datagen: mimicgen::Proven::default(),
             base: BaseFrame::default(),
             late: false,
             rows: Vec::new(),
@@ -106,13 +101,13 @@ impl Relative {
         Ok(relative)
     }
 
-    /// The body of the manipulated object if neither the task nor a setting names it, and where the file names it.
-    pub(super) fn object(&self, model: &Model) -> Option<(String, &'static str)> {
+    /// The name of the manipulated object in the file, if neither the task nor a setting names it.
+    pub(super) fn object(&self, model: &Model) -> Option<String> {
         let casa = || {
             let known = self.family == Family::RoboCasa && model.object(ROBOCASA_OBJECT).is_ok();
-            known.then(|| (ROBOCASA_OBJECT.to_owned(), "RoboCasa's name of the manipulated object"))
+            known.then(|| ROBOCASA_OBJECT.to_owned())
         };
-        self.object.clone().or_else(casa)
+        self.object.as_ref().map(|(name, _)| name.clone()).or_else(casa)
     }
 
     /// What defines the manipulated object, for the table of conventions.
@@ -141,9 +136,11 @@ impl Relative {
         (!self.poses_of.is_empty()).then(|| self.poses_of.join(", "))
     }
 
-    /// The body that a name in `datagen_info/object_poses` stands for: the free body that has these poses.
-    pub(super) fn body_of(&self, name: &str, model: &Model, demos: &[Result<Demo, Hdf5Fault>]) -> Option<String> {
-        mimicgen::body_of(name, model, demos)
+    /// The object in the model that a name stands for: a body of this name, or the free body that has the poses of this name in
+    /// `datagen_info/object_poses`.
+    pub(super) fn body_of(name: &str, model: &Model, demos: &[Result<Demo, Hdf5Fault>]) -> Option<String> {
+        let own = model.object(name).is_ok().then(|| name.to_owned());
+        own.or_else(|| mimicgen::body_of(name, model, demos))
     }
 
     /// Whether models of all demonstrations are needed to read the actions.
@@ -190,11 +187,10 @@ impl Relative {
     /// # Errors
     /// Poses in `datagen_info` differ from those in observations and states.
     pub(super) fn prove(&mut self, first: &[Prepared], views: &[Checked<'_>]) -> Result<(), Hdf5Fault> {
-        let proven = mimicgen::prove(views)?;
-        self.follows = proven.follows;
-        self.targets = proven.targets;
-        self.rows.extend(proven.rows);
-        self.warnings.extend(proven.warnings);
+        let mut proven = mimicgen::prove(views)?;
+        self.rows.append(&mut proven.rows);
+        self.warnings.append(&mut proven.warnings);
+        self.datagen = proven;
         if self.family == Family::Libero {
             let (late, row) = libero::prove(first);
             self.late = late;
@@ -208,7 +204,7 @@ impl Relative {
 
     /// Checks `datagen_info` and the time of the observations of a demonstration; the error says what differs.
     pub(super) fn check(&self, demo: &Demo, sites: &[Isometry3<f64>], view: &Checked<'_>) -> Result<(), String> {
-        mimicgen::check(view, self.follows.as_deref(), self.targets)?;
+        mimicgen::check(view, &self.datagen)?;
         if self.family == Family::Libero {
             libero::check(demo, sites, self.late)?;
         }
