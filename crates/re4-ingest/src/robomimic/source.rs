@@ -181,13 +181,12 @@ impl DemoSource for RobomimicSource {
 
     fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
         let mut warnings = self.reader.warnings().to_vec();
-        match tally.left_out_warning(self.demos().len()) {
-            Some(left_out) => warnings.push(left_out),
-            None => {
-                let without_first = if self.late { self.demos().len() } else { 0 };
-                let recorded = tally.frames() + without_first;
-                warnings.extend(self.reader.total_warning(recorded as u64)?);
-            }
+        if let Some(left_out) = tally.left_out_warning(self.demos().len()) {
+            warnings.push(left_out);
+        } else {
+            let without_first = if self.late { self.demos().len() } else { 0 };
+            let recorded = tally.frames() + without_first;
+            warnings.extend(self.reader.total_warning(recorded as u64)?);
         }
         warnings.extend(tally.warnings());
         let conventions = self.interpreter.warnings().iter();
