@@ -31,6 +31,7 @@ mod pipeline;
 mod policies;
 mod query;
 mod real_data;
+mod relatives;
 mod rendered;
 mod report;
 mod robomimic;

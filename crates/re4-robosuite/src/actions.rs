@@ -141,6 +141,25 @@ impl Osc {
         })
     }
 
+    /// Converts a delta action in the axes of a base to one in world axes. `base` is the orientation of the base in the world frame.
+    /// The command is clipped in the axes of the base first, as the controller does, so that in world axes it can be longer than the
+    /// maximum of one axis. Returns `None` unless the scales are the same on all axes of translation and on all axes of rotation,
+    /// without an offset.
+    #[must_use]
+    pub fn in_world_axes(&self, action: &Action, base: &UnitQuaternion<f64>) -> Option<Action> {
+        let same = |numbers: &[f64; 6]| numbers[..3] == [numbers[0]; 3] && numbers[3..] == [numbers[3]; 3];
+        if !same(&self.gain) || self.input_middle != [0.0; 6] || self.output_middle != [0.0; 6] {
+            return None;
+        }
+        let clipped: [f64; 6] = std::array::from_fn(|i| action[i].clamp(self.input_min[i], self.input_max[i]));
+        let [x, y, z, rx, ry, rz] = clipped;
+        Some(join(
+            base * Vector3::new(x, y, z),
+            base * Vector3::new(rx, ry, rz),
+            action[6],
+        ))
+    }
+
     /// The motion per unit of command on each axis: metres (0..3) and radians (3..6) per step.
     #[must_use]
     pub fn unit(&self) -> [f64; 6] {

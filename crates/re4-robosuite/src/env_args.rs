@@ -158,6 +158,45 @@ impl EnvArgs {
         self.kind.is_some_and(|kind| kind != ROBOSUITE)
     }
 
+    /// Whether the robot is a Panda that starts in robosuite's own pose. LIBERO resets its Panda to another pose.
+    #[must_use]
+    pub fn resets_panda(&self) -> bool {
+        let panda = self.robots.iter().all(|robot| robot == "Panda");
+        panda && !self.env_name.to_ascii_lowercase().starts_with("libero")
+    }
+
+    /// Whether the controller reads deltas in the frame of the robot's base, as declared: since robosuite 1.5, unless it says
+    /// otherwise.
+    #[must_use]
+    pub fn declares_base_frame(&self) -> bool {
+        let declared = self
+            .controller
+            .as_ref()
+            .and_then(|controller| controller.input_ref_frame.as_deref());
+        match declared {
+            Some(frame) => frame == "base",
+            None => self.version().is_some_and(|version| version >= (1, 5)),
+        }
+    }
+
+    /// The same declaration with a controller that accepts commands of twice the range with the same scale. Deltas that were
+    /// rotated from the axes of a base to those of the world can exceed the range of one axis.
+    #[must_use]
+    pub fn with_wider_commands(&self) -> Self {
+        let twice = |numbers: [f64; 6]| numbers.map(|number| 2.0 * number);
+        let controller = self.controller.clone().map(|controller| Controller {
+            input_min: twice(controller.input_min),
+            input_max: twice(controller.input_max),
+            output_min: controller.output_min.map(twice),
+            output_max: controller.output_max.map(twice),
+            ..controller
+        });
+        Self {
+            controller,
+            ..self.clone()
+        }
+    }
+
     /// Major and minor number of the declared robosuite version, or `None` if it is missing or not a version.
     #[must_use]
     pub fn version(&self) -> Option<(u32, u32)> {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::fault::Hdf5Fault;
 use super::file::{Element, File, Located};
+use super::relatives::{DATAGEN, Datagen, FoundDatagen};
 use crate::demos::Matrix;
 
 /// The data of one demonstration, bit for bit (single precision is widened). Every dataset has one row per frame and
@@ -35,6 +36,12 @@ pub struct Demo {
     pub dones: Option<Vec<bool>>,
     /// Absolute actions in addition to `actions`: `actions_abs`, or `action_dict/abs_pos` and `abs_rot_axis_angle`.
     pub other_goals: Option<Vec<[f64; 6]>>,
+    /// Columns 7 to 11 of `actions` of a robot with a mobile base: motion of the base (4) and mode (1).
+    pub base_commands: Option<Vec<[f64; 5]>>,
+    /// `obs/ee_pos` of a LIBERO file, if it exists.
+    pub late_position: Option<Vec<[f64; 3]>>,
+    /// `MimicGen`'s group `datagen_info`, if it exists.
+    pub datagen: Option<Datagen>,
     /// The MJCF text of attribute `model_file`, if it exists.
     pub model: Option<Arc<str>>,
     /// Names of its datasets in single precision.
@@ -49,6 +56,7 @@ pub(crate) struct FoundDemo {
     pub(crate) frames: usize,
     pub(crate) model: Option<Arc<str>>,
     datasets: Vec<(Name, Located)>,
+    datagen: Option<FoundDatagen>,
     skipped: Vec<String>,
 }
 
@@ -68,6 +76,9 @@ pub(super) const OBSERVATIONS: [Name; 3] = [
 const OBJECT: Name = ("obs/object", None);
 const ANGULAR_VELOCITY: Name = ("obs/robot0_eef_vel_ang", Some(3));
 const ACTIONS_ABS: Name = ("actions_abs", Some(7));
+const LATE_POSITION: Name = ("obs/ee_pos", Some(3));
+/// Columns of `actions` of a robot with a mobile base.
+const WITH_BASE: usize = 12;
 const ABS_POSITION: Name = ("action_dict/abs_pos", Some(3));
 const ABS_ROTATION: Name = ("action_dict/abs_rot_axis_angle", Some(3));
 
@@ -76,6 +87,8 @@ const ABS_ROTATION: Name = ("action_dict/abs_rot_axis_angle", Some(3));
 pub(crate) enum Wanted {
     /// Everything except observations; states are required.
     Raw,
+    /// The same, with the observed position of the end effector in a file of LIBERO.
+    Late,
     /// Everything; observations are required.
     Observed,
     /// The same, with the angular velocities of the end effector.
@@ -112,6 +125,12 @@ impl FoundDemo {
             }
         }
         let frames = rows_of(&datasets, &mut faults);
+        let mut datagen = None;
+        if wanted != Wanted::Actions && members.iter().any(|member| member == DATAGEN) {
+            let found = FoundDatagen::find(file, &group, &mut faults)?;
+            found.check_rows(&group, frames, &mut faults);
+            datagen = Some(found);
+        }
         let valid = faults.is_empty();
         match file.count(&group, "num_samples") {
             Ok(Some(samples)) if valid && usize::try_from(samples) != Ok(frames) => {
@@ -141,6 +160,7 @@ impl FoundDemo {
                 frames,
                 model,
                 datasets,
+                datagen,
                 skipped,
             }),
         }
@@ -185,7 +205,16 @@ impl FoundDemo {
                 continue;
             }
             match name {
+                ACTIONS if columns == WITH_BASE => {
+                    let all = rows::<WITH_BASE>(&values);
+                    demo.actions = all
+                        .iter()
+                        .map(|row| std::array::from_fn(|column| row[column]))
+                        .collect();
+                    demo.base_commands = Some(all.iter().map(|row| std::array::from_fn(|at| row[at + 7])).collect());
+                }
                 ACTIONS => demo.actions = rows(&values),
+                LATE_POSITION => demo.late_position = Some(rows(&values)),
                 ("obs/robot0_eef_pos", _) => demo.eef_position = rows(&values),
                 ("obs/robot0_eef_quat", _) => demo.eef_quaternion = rows(&values),
                 ("obs/robot0_gripper_qpos", _) => demo.fingers = rows(&values),
@@ -200,6 +229,9 @@ impl FoundDemo {
                 ABS_ROTATION => goals[1] = rows::<3>(&values),
                 _ => demo.rewards = Some(values),
             }
+        }
+        if let Some(found) = self.datagen {
+            demo.datagen = Some(found.read(file, &mut faults)?);
         }
         if let Some(fault) = Hdf5Fault::all(faults) {
             return Err(fault);
@@ -234,11 +266,11 @@ fn names_of(
     let others: &[Name] = if wanted == Wanted::Actions { &[] } else { &OTHERS };
     for &name in others {
         let there = has(members, name.0);
-        if there || (name == STATES && wanted == Wanted::Raw) {
+        if there || (name == STATES && matches!(wanted, Wanted::Raw | Wanted::Late)) {
             need(&mut names, name, there);
         }
     }
-    if !matches!(wanted, Wanted::Raw | Wanted::Actions) {
+    if !matches!(wanted, Wanted::Raw | Wanted::Late | Wanted::Actions) {
         if has(members, "obs") {
             let observations = file.members(&format!("{group}/obs"))?;
             let there = |name: Name| has(&observations, name.0.trim_start_matches("obs/"));
@@ -254,6 +286,9 @@ fn names_of(
         } else {
             need(&mut names, ("obs", None), false);
         }
+    } else if wanted == Wanted::Late && has(members, "obs") {
+        let observations = file.members(&format!("{group}/obs"))?;
+        names.extend(has(&observations, "ee_pos").then_some(LATE_POSITION));
     }
     if !lacks.is_empty() {
         faults.push(Hdf5Fault::Missing {
@@ -304,8 +339,11 @@ fn rows_of(datasets: &[(Name, Located)], faults: &mut Vec<Hdf5Fault>) -> usize {
     common
 }
 
-fn check_shape((_, columns): Name, located: &Located) -> Result<(), Hdf5Fault> {
+fn check_shape(name: Name, located: &Located) -> Result<(), Hdf5Fault> {
+    let (_, columns) = name;
     let fits = match columns {
+        // Whether the robot has a base is checked with its model.
+        _ if name == ACTIONS && matches!(located.shape[..], [_, WITH_BASE]) => true,
         Some(0) => matches!(located.shape[..], [_] | [_, 1]),
         Some(columns) => located.shape.len() == 2 && located.shape[1] == columns,
         None => located.shape.len() == 2 && located.shape[1] > 0,

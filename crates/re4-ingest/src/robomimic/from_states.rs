@@ -1,5 +1,6 @@
 //! Computes poses from states and model by forward kinematics, for files without the corresponding observations.
 
+use nalgebra::Isometry3;
 use re4_robosuite::conventions::{Contradiction, zero_rows};
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::{Model, Observed};
@@ -8,6 +9,7 @@ use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::interpret::{LEAVE_OUT, Reading};
 use super::reader::{Layout, RobomimicReader};
+use super::relatives::Relative;
 
 /// Poses and finger positions of a demonstration, in the conventions of its file.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +28,8 @@ pub(super) struct Poses {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum FromStates {
     Nothing,
+    /// Nothing: the pose of the object with this name is in `datagen_info`.
+    Datagen(String),
     /// The pose of this object.
     Object(String),
     /// All required observations, and the pose of this object.
@@ -38,14 +42,30 @@ impl FromStates {
         reader: &RobomimicReader,
         reading: &Reading,
         env: &EnvArgs,
-        model: Option<&Model>,
+        relative: &Relative,
+        (model, demos): (Option<&Model>, &[Result<Demo, Hdf5Fault>]),
     ) -> Result<Self, Hdf5Fault> {
         let layout = reader.layout();
-        if layout == Layout::Observed && reading.task.is_some() && !reader.object_from_states {
-            return Ok(Self::Nothing);
+        if layout == Layout::Observed {
+            let observed = reading.task.is_some() && !reader.object_from_states;
+            let stateless = model.is_none() || demos.iter().flatten().all(|demo| demo.states.is_none());
+            if stateless
+                && (reader.lacks_objects || reading.task.is_none())
+                && let Some(name) = relative.recorded_object(reading.object.as_deref())
+            {
+                return Ok(Self::Datagen(name));
+            }
+            if observed {
+                return Ok(Self::Nothing);
+            }
         }
         let environment = &env.env_name;
         let Some(model) = model else {
+            if let Some(recorded) = relative.recorded_objects().filter(|_| layout == Layout::Observed) {
+                return Err(Hdf5Fault::Other(format!(
+                    "the manipulated object of environment {environment} is unknown; set ingest.object to one of {recorded}, whose poses are in datagen_info/object_poses"
+                )));
+            }
             return Err(Hdf5Fault::Other(format!(
                 "poses of environment {environment} must be computed from the states, but the demonstrations have no attribute model_file; give a file with models"
             )));
@@ -61,7 +81,9 @@ impl FromStates {
         let named = reading
             .object
             .clone()
-            .or_else(|| reading.task.map(|task| task.object.to_owned()));
+            .or_else(|| reading.task.map(|task| task.object.to_owned()))
+            .map(|name| Relative::body_of(&name, model, demos).unwrap_or(name))
+            .or_else(|| Relative::body_of(&relative.object(model)?, model, demos));
         let candidates: Vec<&str> = model.free_bodies().map(|(_, name)| name).collect();
         let object = named.ok_or_else(|| {
         Hdf5Fault::Other(if candidates.is_empty() {
@@ -96,6 +118,15 @@ impl FromStates {
         };
         let name = match self {
             Self::Nothing => return Ok(poses),
+            Self::Datagen(name) => {
+                let recorded = demo.datagen.as_ref().and_then(|datagen| datagen.object(name));
+                let recorded = recorded.ok_or_else(|| Hdf5Fault::Missing {
+                    objects: vec![format!("data/{}/datagen_info/object_poses/{name}", demo.name)],
+                    fix: "restore it, or leave the demonstration out with a filter key or ingest.select",
+                })?;
+                poses.object = Some(recorded.iter().map(row_of).collect());
+                return Ok(poses);
+            }
             Self::Object(name) | Self::All(name) => name,
         };
         let refuse = |why: String| {
@@ -133,13 +164,15 @@ impl FromStates {
             poses.fingers =
                 fingers.ok_or_else(|| refuse("the gripper does not have two sliding fingers".to_owned()))?;
         }
-        let pose = |seen: &Observed| {
-            let pose = seen.object?;
-            let [x, y, z]: [f64; 3] = pose.translation.vector.into();
-            let [qx, qy, qz, qw]: [f64; 4] = pose.rotation.coords.into();
-            Some([x, y, z, qx, qy, qz, qw])
-        };
+        let pose = |seen: &Observed| seen.object.as_ref().map(row_of);
         poses.object = Some(observed.iter().filter_map(pose).collect());
         Ok(poses)
     }
+}
+
+/// Position and quaternion (x, y, z, w) of a pose.
+fn row_of(pose: &Isometry3<f64>) -> [f64; 7] {
+    let [x, y, z]: [f64; 3] = pose.translation.vector.into();
+    let [qx, qy, qz, qw]: [f64; 4] = pose.rotation.coords.into();
+    [x, y, z, qx, qy, qz, qw]
 }

@@ -17,9 +17,6 @@ const BLOCK: usize = 8 << 20;
 /// Maximum size of the images in one row of chunks, in bytes.
 const BLOCK_LIMIT: usize = 128 << 20;
 
-/// Suffix of the datasets that contain images.
-const ENDING: &str = "_image";
-
 impl RobomimicReader {
     /// Cameras of the demonstrations, in alphabetical order; only those in `asked`, if given.
     ///
@@ -37,7 +34,8 @@ impl RobomimicReader {
                 format!("the file has {}", there.join(", "))
             };
             let fault = Hdf5Fault::Other(format!(
-                "there is no camera {camera:?} (no dataset obs/{camera}{ENDING}); {has}, so correct ingest.cameras"
+                "there is no camera {camera:?} (no dataset obs/{}); {has}, so correct ingest.cameras",
+                self.image_names.dataset(camera)
             ));
             return Err(Fault::from(fault).of(&self.path));
         }
@@ -53,7 +51,7 @@ impl RobomimicReader {
                 Err(_) => continue,
                 Ok(observations) => observations,
             };
-            let names = observations.iter().filter_map(|name| name.strip_suffix(ENDING));
+            let names = observations.iter().filter_map(|name| self.image_names.camera(name));
             cameras.extend(names.map(str::to_owned));
         }
         Ok(cameras.into_iter().collect())
@@ -66,7 +64,7 @@ impl RobomimicReader {
     pub(super) fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
         let mut faults = Vec::new();
         for camera in cameras {
-            let path = format!("data/{}/obs/{camera}{ENDING}", demo.name);
+            let path = self.image_path(&demo.name, camera);
             let checked = self.file.exists(&path).and_then(|there| {
                 if !there {
                     return Err(Hdf5Fault::Missing {
@@ -85,7 +83,7 @@ impl RobomimicReader {
 
     /// Passes all images of a camera to `take`, in the order of demonstrations and frames. `demos` lists the demonstrations with
     /// their numbers of frames. A demonstration with images that cannot be decoded is passed on as left out, and reading
-    /// continues.
+    /// continues. If the images are `late`, there is one more row than frames, and the last row belongs to no frame.
     ///
     /// # Errors
     /// The file needs the HDF5 library but was opened without it, or `take` returns an error.
@@ -93,6 +91,7 @@ impl RobomimicReader {
         &self,
         camera: &str,
         demos: &[(DemoName, usize)],
+        late: bool,
         mut take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         std::thread::scope(|scope| {
@@ -101,7 +100,7 @@ impl RobomimicReader {
             scope.spawn(move || {
                 for (episode, (demo, frames)) in (0..).zip(demos) {
                     let mut received = true;
-                    let sent = self.send_blocks(camera, episode, (&demo.name, *frames), |block| {
+                    let sent = self.send_blocks(camera, episode, (&demo.name, *frames), late, |block| {
                         received = sender.send(Ok(Ok(block))).is_ok();
                         received
                     });
@@ -125,23 +124,34 @@ impl RobomimicReader {
         })
     }
 
+    fn image_path(&self, demo: &str, camera: &str) -> String {
+        format!("data/{demo}/obs/{}", self.image_names.dataset(camera))
+    }
+
     fn send_blocks(
         &self,
         camera: &str,
         episode: u32,
         (demo, frames): (&str, usize),
+        late: bool,
         mut send: impl FnMut(ImageBlock) -> bool,
     ) -> Result<(), Hdf5Fault> {
-        let located = self.file.locate(&format!("data/{demo}/obs/{camera}{ENDING}"))?;
-        let [height, width] = image_shape(&located, frames)?;
+        let located = self.file.locate(&self.image_path(demo, camera))?;
+        let [height, width] = image_shape(&located, frames + usize::from(late))?;
         let rows = rows_at_once(&located, height * width * 3)?;
         for first in (0..frames).step_by(rows) {
             let end = frames.min(first + rows);
+            let mut bytes = self.file.read_bytes(&located, first..end)?;
+            if self.image_names.upside_down() {
+                bytes
+                    .chunks_exact_mut(height * width * 3)
+                    .for_each(|image| flip(image, width * 3));
+            }
             let block = ImageBlock {
                 places: (first..end).map(|frame| (episode, frame as u32)).collect(),
                 height,
                 width,
-                bytes: self.file.read_bytes(&located, first..end)?,
+                bytes,
             };
             if !send(block) {
                 break;
@@ -149,6 +159,17 @@ impl RobomimicReader {
         }
         Ok(())
     }
+}
+
+/// Turns an image upside down; `row` is the number of bytes of a row.
+fn flip(image: &mut [u8], row: usize) {
+    let rows = image.len() / row;
+    let (upper, lower) = image.split_at_mut(rows / 2 * row);
+    let lower = lower.rchunks_exact_mut(row);
+    upper
+        .chunks_exact_mut(row)
+        .zip(lower)
+        .for_each(|(above, below)| above.swap_with_slice(below));
 }
 
 /// Height and width of the images. Checks type and shape.
@@ -194,4 +215,20 @@ fn rows_at_once(located: &Located, image: usize) -> Result<usize, Hdf5Fault> {
     }
     let chunks = (BLOCK / (chunk.saturating_mul(image)).max(1)).max(1);
     Ok(chunks * chunk)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::flip;
+
+    #[test]
+    fn flipping_reverses_the_rows() {
+        for rows in 0..6_u8 {
+            let image: Vec<u8> = (0..rows * 6).collect();
+            let mut flipped = image.clone();
+            flip(&mut flipped, 6);
+            let expected: Vec<u8> = image.chunks(6).rev().flatten().copied().collect();
+            assert_eq!(flipped, expected);
+        }
+    }
 }

@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use re4_artifact::SixAxis;
 use re4_robosuite::actions::{Action, ActionError, Osc, distance};
 use re4_robosuite::conventions::{
-    ActionKind, Basis, Conventions, DemoArrays, Detection, EefOrientation, GripperRange, GripperSign, InitialGoal,
-    Proof, QuaternionOrder, RobosuiteTask, Rows, Settings, Unproven,
+    ActionKind, Conventions, DemoArrays, Detection, EefOrientation, GripperRange, GripperSign, InitialGoal,
+    QuaternionOrder, RobosuiteTask, Rows, Settings, Unproven,
 };
 use re4_robosuite::env_args::EnvArgs;
 use re4_robosuite::kinematics::{Model, PANDA_RESET};
@@ -18,7 +18,9 @@ use re4_robosuite::kinematics::{Model, PANDA_RESET};
 use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::from_states::{FromStates, Poses};
-use super::reader::{Layout, RobomimicReader};
+use super::reader::RobomimicReader;
+use super::relatives::{Checked, Relative, check_base, check_task, refuse_two_arms};
+use super::stated::{convention, stated};
 use crate::demos::Matrix;
 use crate::error::{Fault, IngestError};
 use crate::left_out::refusal;
@@ -61,6 +63,8 @@ pub struct Interpreter {
     osc: Osc,
     initial: Option<Isometry3<f64>>,
     from_states: FromStates,
+    /// What the file has beyond robomimic's layout.
+    relative: Relative,
     /// The last model that was parsed, since consecutive demonstrations of one scene have the same model.
     model: Mutex<Option<(Arc<str>, Arc<Model>)>>,
 }
@@ -78,8 +82,12 @@ impl Interpreter {
 
     fn learn_checked(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), Hdf5Fault> {
         let env = reader.environment(reading.env_args.as_deref())?;
+        refuse_two_arms(reader, &env)?;
         check_task(&env, reading.task)?;
-        let (first, from_states, mut left_out) = Prepared::gather(reader, reading, &env)?;
+        let mut relative = Relative::of(reader, reading, &env)?;
+        let (mut first, from_states, mut left_out) = Prepared::gather(reader, reading, &env, &relative)?;
+        relative.learn_frame(&mut first, &env, &reading.conventions)?;
+        let (env, settings) = relative.adapted(env, &reading.conventions);
         let complete: Vec<DemoArrays<'_>> = first
             .iter()
             .map(|first| arrays(&first.demo, &first.poses, first.model.as_deref()))
@@ -90,7 +98,7 @@ impl Interpreter {
                 error => format!("{error} (settings are keys of [ingest.conventions])"),
             })
         };
-        let learned = Conventions::detect_excluding(&complete, &env, &reading.conventions);
+        let learned = Conventions::detect_excluding(&complete, &env, &settings);
         let Detection {
             conventions,
             proofs,
@@ -112,7 +120,7 @@ impl Interpreter {
             InitialGoal::FirstPose => None,
         };
         let mut rows: Vec<Convention> = proofs.iter().map(convention).collect();
-        rows.extend(stated(reader.layout(), reading, &env, &from_states));
+        rows.extend(stated(reader.layout(), reading, &env, &from_states, &relative));
         let mut warnings: Vec<String> = proofs.into_iter().filter_map(|proof| proof.warning).collect();
         if let (Some(distribution @ 1..), Some(own)) = (RobosuiteTask::distribution(&env.env_name), conventions.task) {
             let own = own.environment;
@@ -121,7 +129,7 @@ impl Interpreter {
                 env.env_name
             ));
         }
-        let interpreter = Self {
+        let mut interpreter = Self {
             env,
             conventions,
             rows,
@@ -129,9 +137,37 @@ impl Interpreter {
             osc,
             initial,
             from_states,
+            relative,
             model: Mutex::default(),
         };
+        let odd = |first: &Prepared| left_out.iter().any(|left| left.demo == first.demo.name);
+        first.retain(|first| !odd(first));
+        interpreter.prove_relative(&first)?;
         Ok((interpreter, left_out))
+    }
+
+    /// Proves what the file has beyond robomimic's layout.
+    fn prove_relative(&mut self, first: &[Prepared]) -> Result<(), Hdf5Fault> {
+        let seen = first
+            .iter()
+            .map(|first| self.seen(&first.demo, &first.poses))
+            .collect::<Result<Vec<_>, _>>()?;
+        let views: Vec<Checked<'_>> = first
+            .iter()
+            .zip(&seen)
+            .map(|(first, seen)| self.checked(&first.demo, seen))
+            .collect();
+        let mut relative = self.relative.clone();
+        relative.prove(first, &views)?;
+        self.rows.extend(relative.rows().iter().cloned());
+        self.warnings.extend(relative.warnings().iter().cloned());
+        self.relative = relative;
+        Ok(())
+    }
+
+    /// What the file has beyond robomimic's layout.
+    pub(super) fn relative(&self) -> &Relative {
+        &self.relative
     }
 
     /// Metadata on how the file was recorded.
@@ -173,9 +209,11 @@ impl Interpreter {
     fn interpret_checked(&self, demo: &mut Demo, other: Option<&[Action]>) -> Result<Interpreted, Hdf5Fault> {
         check_object_columns(demo, self.conventions.task)?;
         let model = match self.from_states {
-            FromStates::Nothing => None,
+            FromStates::Nothing | FromStates::Datagen(_) if !self.relative.needs_models() => None,
             _ => self.model(demo)?,
         };
+        check_base(demo, model.as_deref())?;
+        self.relative.convert(demo, model.as_deref())?;
         let poses = self.from_states.complete(demo, model.as_deref())?;
         let plain = arrays(demo, &poses, None);
         let contradiction = match self.conventions.check(&plain) {
@@ -192,25 +230,11 @@ impl Interpreter {
                 Some(why)
             }
         };
-        let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
-        let sites = poses
-            .eef_position
-            .iter()
-            .zip(&poses.eef_quaternion)
-            .map(|(position, quaternion)| self.conventions.site_pose(*position, *quaternion))
-            .collect::<Option<Vec<_>>>()
-            .ok_or_else(|| unknown("obs/robot0_eef_quat contains a quaternion of zero norm; repair that row"))?;
-        let object = match poses.object {
-            Some(object) => object,
-            None => self.objects(demo).ok_or_else(|| no_object(demo))?,
-        };
-        // Controller commands, or goals in the world frame.
-        let actions: Cow<'_, [Action]> = if self.conventions.actions.is_plain() {
-            Cow::Borrowed(&demo.actions)
-        } else {
-            let read = demo.actions.iter().map(|action| self.conventions.actions.read(action));
-            read.collect()
-        };
+        let seen = self.seen(demo, &poses)?;
+        let differs = self.relative.check(demo, &seen.sites, &self.checked(demo, &seen)).err();
+        let differs = differs.map(|why| format!("{}: {why}; {LEAVE_OUT}", demo.name));
+        let contradiction = contradiction.or(differs);
+        let Seen { sites, object, actions } = seen;
         let (delta, goal, goal_errors) = self.both_kinds(demo, &actions, &sites, other)?;
         let opens = self.conventions.gripper_sign == GripperSign::PositiveOpens;
         let other_command = opens || self.conventions.actions.gripper == GripperRange::ZeroOne;
@@ -240,6 +264,42 @@ impl Interpreter {
             goal_errors,
             contradiction,
         })
+    }
+
+    /// Poses of the grip site and the object, and the actions, by the conventions.
+    fn seen<'a>(&self, demo: &'a Demo, poses: &'a Poses) -> Result<Seen<'a>, Hdf5Fault> {
+        let unknown = |what: &str| Hdf5Fault::Other(format!("{}: {what}", demo.name));
+        let sites = poses
+            .eef_position
+            .iter()
+            .zip(&poses.eef_quaternion)
+            .map(|(position, quaternion)| self.conventions.site_pose(*position, *quaternion))
+            .collect::<Option<Vec<_>>>()
+            .ok_or_else(|| unknown("obs/robot0_eef_quat contains a quaternion of zero norm; repair that row"))?;
+        let object = match &poses.object {
+            Some(object) => Cow::Borrowed(object.as_slice()),
+            None => Cow::Owned(self.objects(demo).ok_or_else(|| no_object(demo))?),
+        };
+        let actions = if self.conventions.actions.is_plain() {
+            Cow::Borrowed(demo.actions.as_slice())
+        } else {
+            let read = demo.actions.iter().map(|action| self.conventions.actions.read(action));
+            read.collect()
+        };
+        Ok(Seen { sites, object, actions })
+    }
+
+    /// The same for comparing it with `datagen_info`.
+    fn checked<'a>(&'a self, demo: &'a Demo, seen: &'a Seen<'_>) -> Checked<'a> {
+        let own = !matches!(self.from_states, FromStates::Datagen(_));
+        Checked {
+            datagen: demo.datagen.as_ref(),
+            sites: &seen.sites,
+            object: own.then_some(&*seen.object),
+            deltas: (self.conventions.action_kind == ActionKind::Delta).then_some(&*seen.actions),
+            recorded: &demo.actions,
+            osc: &self.osc,
+        }
     }
 
     /// A recorded quaternion without normalization; its norm has been checked to be near 1.
@@ -318,6 +378,14 @@ impl Interpreter {
     }
 }
 
+/// Poses of the grip site (world frame), rows of object poses (position, quaternion x, y, z, w), and controller commands or goals in
+/// the world frame.
+struct Seen<'a> {
+    sites: Vec<Isometry3<f64>>,
+    object: Cow<'a, [[f64; 7]]>,
+    actions: Cow<'a, [Action]>,
+}
+
 /// Delta actions, absolute actions, and differences between recorded and computed goals.
 type BothKinds = (Vec<Action>, Vec<Action>, Option<Vec<(f64, f64)>>);
 
@@ -335,10 +403,10 @@ fn unchecked(parts: [f64; 4]) -> UnitQuaternion<f64> {
 pub(super) const LEAVE_OUT: &str = "repair that demonstration, or leave it out with a filter key or ingest.select";
 
 /// A demonstration on which conventions are proven.
-struct Prepared {
-    demo: Demo,
-    model: Option<Arc<Model>>,
-    poses: Poses,
+pub(super) struct Prepared {
+    pub(super) demo: Demo,
+    pub(super) model: Option<Arc<Model>>,
+    pub(super) poses: Poses,
 }
 
 impl Prepared {
@@ -347,6 +415,7 @@ impl Prepared {
         reader: &RobomimicReader,
         reading: &Reading,
         env: &EnvArgs,
+        relative: &Relative,
     ) -> Result<(Vec<Self>, FromStates, Vec<LeftOut>), Hdf5Fault> {
         let (mut prepared, mut left_out): (Vec<Self>, Vec<LeftOut>) = (Vec::new(), Vec::new());
         let mut from: Option<FromStates> = None;
@@ -371,13 +440,14 @@ impl Prepared {
                 Some(known) => known,
                 // If nothing could be read, the faults are reported below.
                 None if read.iter().all(Result::is_err) => FromStates::Nothing,
-                None => FromStates::of(reader, reading, env, some)?,
+                None => FromStates::of(reader, reading, env, relative, (some, &read))?,
             };
             let demos = read.into_iter().zip(models).zip(&batch);
             for ((demo, model), name) in demos {
                 let ready = demo.and_then(|mut demo| {
                     let model = model?;
                     check_object_columns(&demo, reading.task)?;
+                    check_base(&demo, model.as_deref())?;
                     if from_states == FromStates::Nothing && demo.object.is_none() {
                         return Err(no_object(&demo));
                     }
@@ -436,37 +506,6 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
     demo.model.as_ref().map(parse).transpose()
 }
 
-/// Checks that the file matches the task of the pipeline.
-fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Fault> {
-    if env.is_foreign() {
-        let by = if env.env_name.starts_with("Isaac") {
-            "Isaac Lab"
-        } else {
-            "gym or another library"
-        };
-        return Err(Hdf5Fault::Other(format!(
-            "it is not a robosuite dataset: env_args names environment {} of type {}, which is {by} in robomimic, but only type 1 (robosuite) is supported; give an HDF5 file of robosuite demonstrations",
-            env.env_name,
-            env.kind.unwrap_or_default()
-        )));
-    }
-    if env.robots.len() > 1 {
-        return Err(Hdf5Fault::Other(format!(
-            "its environment {} has {} robots, but only tasks with one arm and a two-finger gripper are supported; give a file of such a task",
-            env.env_name,
-            env.robots.len()
-        )));
-    }
-    if let Some(task) = task.filter(|task| RobosuiteTask::of_environment(&env.env_name) != Some(*task)) {
-        let wanted = task.environment;
-        return Err(Hdf5Fault::Other(format!(
-            "its environment is {}, but the pipeline's task needs {wanted}; set task to the task of the file, or set task = \"robosuite\" and ingest.object",
-            env.env_name
-        )));
-    }
-    Ok(())
-}
-
 fn no_object(demo: &Demo) -> Hdf5Fault {
     Hdf5Fault::Missing {
         objects: vec![format!("data/{}/obs/object", demo.name)],
@@ -499,101 +538,4 @@ fn arrays<'a>(demo: &'a Demo, poses: &'a Poses, model: Option<&'a Model>) -> Dem
         states: demo.states.as_ref().and_then(rows),
         model,
     }
-}
-
-/// Converts a proof to a table row.
-fn convention(proof: &Proof) -> Convention {
-    let candidates = &proof.evidence.candidates;
-    let own = candidates.iter().find(|candidate| candidate.value == proof.value);
-    let rival = candidates.iter().filter(|candidate| candidate.value != proof.value);
-    let rival = rival.map(|candidate| candidate.median).min_by(f64::total_cmp);
-    let measured = own.filter(|own| own.residual.is_finite());
-    Convention {
-        convention: proof.convention.clone().into(),
-        value: proof.value.clone().into(),
-        basis: match proof.basis {
-            Basis::Data => "proven",
-            Basis::Setting => "setting",
-            Basis::Declared => "declared",
-        }
-        .into(),
-        evidence: proof.evidence.test.clone(),
-        residual: measured.map(|own| own.residual),
-        runner_up: rival.filter(|rival| measured.is_some() && rival.is_finite()),
-        threshold: measured.map(|_| proof.evidence.threshold),
-        unit: proof.evidence.unit.clone().into(),
-        frames: proof.evidence.frames,
-    }
-}
-
-/// Conventions that are not proven from the numbers: settings, and declarations in the file.
-fn stated(layout: Layout, reading: &Reading, env: &EnvArgs, from_states: &FromStates) -> Vec<Convention> {
-    let row = |name: &'static str, value: String, basis: &'static str, evidence: &str| Convention {
-        convention: name.into(),
-        value: value.into(),
-        basis: basis.into(),
-        evidence: evidence.to_owned(),
-        residual: None,
-        runner_up: None,
-        threshold: None,
-        unit: "".into(),
-        frames: 0,
-    };
-    let (layout, poses) = match layout {
-        Layout::Observed => ("robomimic", "the demonstrations have a group obs"),
-        Layout::Raw => ("raw", "the demonstrations have states and actions, and no group obs"),
-    };
-    let mut rows = vec![row("layout", layout.to_owned(), "declared", poses)];
-    rows.push(row(
-        "environment",
-        env.env_name.clone(),
-        "declared",
-        "attribute env_args or env of /data",
-    ));
-    if let Some(version) = &env.env_version {
-        rows.push(row(
-            "robosuite_version",
-            version.clone(),
-            "declared",
-            "attribute env_args or repository_version of /data",
-        ));
-    }
-    let (source, evidence) = match from_states {
-        FromStates::Nothing => ("observations", "eef, fingers and object pose are copied from obs"),
-        FromStates::Object(_) => (
-            "states",
-            "the object's pose is computed from states and model_file by forward kinematics",
-        ),
-        FromStates::All(_) => (
-            "states",
-            "eef, fingers and object pose are computed from states and model_file by forward kinematics",
-        ),
-    };
-    rows.push(row("poses", source.to_owned(), "declared", evidence));
-    if let FromStates::Object(object) | FromStates::All(object) = from_states {
-        let basis = if reading.object.is_some() {
-            "setting"
-        } else {
-            "declared"
-        };
-        rows.push(row(
-            "object",
-            object.clone(),
-            basis,
-            "the body of the manipulated object",
-        ));
-    }
-    if reading.env_args.is_some() {
-        rows.push(row(
-            "env_args",
-            "given".to_owned(),
-            "setting",
-            "ingest.env_args replaces the attribute of the file",
-        ));
-    }
-    if reading.conventions.allow_actions_beyond_range {
-        let evidence = "ingest.conventions.allow_actions_beyond_range; the controller clips them to its limits";
-        rows.push(row("actions_beyond_range", "accepted".to_owned(), "setting", evidence));
-    }
-    rows
 }

@@ -15,8 +15,10 @@ mod look;
 mod mask;
 mod names;
 mod reader;
+mod relatives;
 mod source;
 mod sources;
+mod stated;
 mod summary;
 mod survey;
 

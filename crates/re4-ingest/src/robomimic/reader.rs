@@ -10,8 +10,9 @@ use re4_robosuite::env_args::EnvArgs;
 
 use super::demo::{Demo, FoundDemo, Wanted};
 use super::fault::Hdf5Fault;
-use super::file::{Access, File};
+use super::file::{Access, File, Kind};
 use super::names::{chosen, demonstrations, mark_filter_keys, numbered};
+use super::relatives::{Cameras, FoundDatagen};
 use super::sources::{MODELS_FOLDER, Sources};
 use super::survey::Survey;
 use crate::demos::{DemoName, Info};
@@ -51,6 +52,10 @@ pub struct RobomimicReader {
     layout: Layout,
     /// Whether the pose of the object must be computed from the states.
     pub(super) object_from_states: bool,
+    /// Whether no demonstration has the observation of the object.
+    pub(super) lacks_objects: bool,
+    /// How the datasets of images are named.
+    pub(super) image_names: Cameras,
     demos: Vec<DemoName>,
     /// Number of demonstrations in the whole file.
     found: usize,
@@ -99,10 +104,13 @@ impl RobomimicReader {
         } else {
             BTreeSet::new()
         };
+        let image_names = Cameras::of(file.text("data", Cameras::ATTRIBUTE)?.as_deref());
         Ok(Self {
             path: sources.path().to_owned(),
             layout: survey.layout(),
             object_from_states: survey.object_from_states(),
+            lacks_objects: survey.lacks_objects(),
+            image_names,
             sources: sources.with_models(models),
             file,
             demos,
@@ -163,6 +171,53 @@ impl RobomimicReader {
             .map_err(|error| refuse("env_info", error))
     }
 
+    /// A text attribute of `/data`.
+    pub(super) fn data_text(&self, name: &str) -> Result<Option<String>, Hdf5Fault> {
+        self.file.text("data", name)
+    }
+
+    /// Names of the objects with poses in `datagen_info` of the first demonstration.
+    pub(super) fn datagen_objects(&self) -> Result<Vec<String>, Hdf5Fault> {
+        self.of_first(|demo| FoundDatagen::objects(&self.file, demo))
+    }
+
+    /// Whether the first demonstration has the attribute `ep_meta`, which describes a scene that differs between demonstrations.
+    pub(super) fn has_episode_metadata(&self) -> Result<bool, Hdf5Fault> {
+        self.of_first(|demo| self.file.has_attribute(&format!("data/{demo}"), "ep_meta"))
+    }
+
+    /// Names, with their group, of the datasets in some groups of the first demonstration.
+    pub(super) fn names_in_first(&self, groups: &[&str]) -> Result<Vec<String>, Hdf5Fault> {
+        self.of_first(|demo| {
+            let mut names = Vec::new();
+            for group in groups {
+                let path = format!("data/{demo}/{group}");
+                // Also the path of a dataset in some files.
+                if !self.file.exists(&path)? || self.file.kind(&path)? != Kind::Group {
+                    continue;
+                }
+                names.extend(
+                    self.file
+                        .members(&path)?
+                        .into_iter()
+                        .map(|name| format!("{group}/{name}")),
+                );
+            }
+            Ok(names)
+        })
+    }
+
+    /// Asks something of the first demonstration. Its faults are reported when it is read.
+    fn of_first<T: Default>(&self, ask: impl Fn(&str) -> Result<T, Hdf5Fault>) -> Result<T, Hdf5Fault> {
+        let Some(demo) = self.demos.first() else {
+            return Ok(T::default());
+        };
+        match ask(&demo.name) {
+            Err(fault) if !self.file.is_fatal(&fault) => Ok(T::default()),
+            asked => asked,
+        }
+    }
+
     /// Locates a demonstration's datasets.
     fn find(&self, name: &str, wanted: Wanted) -> Result<FoundDemo, Hdf5Fault> {
         let mut found = FoundDemo::find(&self.file, name, wanted)?;
@@ -206,6 +261,7 @@ impl RobomimicReader {
     fn wanted(&self) -> Wanted {
         match self.layout {
             Layout::Observed => Wanted::Observed,
+            Layout::Raw if self.image_names.are_libero() => Wanted::Late,
             Layout::Raw => Wanted::Raw,
         }
     }
@@ -214,7 +270,7 @@ impl RobomimicReader {
     pub(super) fn read(&self, demo: &DemoName) -> Result<Demo, Hdf5Fault> {
         let wanted = match self.layout {
             Layout::Observed => Wanted::ObservedWithVelocities,
-            Layout::Raw => Wanted::Raw,
+            Layout::Raw => self.wanted(),
         };
         self.find(&demo.name, wanted)?.read(&self.file)
     }

@@ -9,7 +9,7 @@ use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Map, Value, json};
 
 use super::demo::Demo;
-use super::interpret::Interpreter;
+use super::interpret::{Interpreted, Interpreter};
 use super::look::SIGNATURE;
 use super::reader::RobomimicReader;
 use super::summary::Comparison;
@@ -26,6 +26,9 @@ pub struct RobomimicSource {
     info: Info,
     /// Demonstrations that were found unusable when the conventions were proven.
     excluded: Vec<LeftOut>,
+    /// Whether each image was made after the action of its row. The first frame of each demonstration is then left out, so that the
+    /// image in row `t` of the file is that of frame `t`.
+    late: bool,
 }
 
 impl RobomimicSource {
@@ -52,6 +55,7 @@ impl RobomimicSource {
             ActionKind::Absolute => "absolute",
         };
         details.insert("actions".to_owned(), Value::from(actions));
+        let format = interpreter.relative().format();
         let info = reader.describe(Info {
             rate: env.control_freq,
             cameras,
@@ -59,7 +63,12 @@ impl RobomimicSource {
             details,
             ..Info::default()
         })?;
+        let info = Info {
+            format: format.map_or(info.format, str::to_owned),
+            ..info
+        };
         Ok(Self {
+            late: interpreter.relative().is_late() && !info.cameras.is_empty(),
             reader,
             interpreter,
             comparison,
@@ -97,7 +106,9 @@ impl RobomimicSource {
             Some(comparison) => comparison.actions(&demo.name, demo.frames)?,
             None => None,
         };
-        match self.interpreter.interpret(&self.reader, &mut demo, other.as_deref()) {
+        let interpreted = self.interpreter.interpret(&self.reader, &mut demo, other.as_deref());
+        let interpreted = interpreted.map(|interpreted| self.without_first(&mut demo, interpreted));
+        match interpreted {
             Ok(interpreted) => Ok(Ok(Episode {
                 name: name.clone(),
                 frames: Frames::Spatial(interpreted.frames),
@@ -114,6 +125,19 @@ impl RobomimicSource {
                 why: error.fault.to_string(),
             }))),
         }
+    }
+}
+
+impl RobomimicSource {
+    /// Leaves out the first frame, of which there is no image, if images are late.
+    fn without_first(&self, demo: &mut Demo, mut interpreted: Interpreted) -> Interpreted {
+        if self.late {
+            interpreted.frames.drain(..interpreted.frames.len().min(1));
+            if let Some(states) = &mut demo.states {
+                states.values.drain(..states.columns.min(states.values.len()));
+            }
+        }
+        interpreted
     }
 }
 
@@ -152,14 +176,17 @@ impl DemoSource for RobomimicSource {
         of: &[(DemoName, usize)],
         take: impl FnMut(Result<ImageBlock, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
-        self.reader.for_each_block(camera, of, take)
+        self.reader.for_each_block(camera, of, self.late, take)
     }
 
     fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
         let mut warnings = self.reader.warnings().to_vec();
-        match tally.left_out_warning(self.demos().len()) {
-            Some(left_out) => warnings.push(left_out),
-            None => warnings.extend(self.reader.total_warning(tally.frames() as u64)?),
+        if let Some(left_out) = tally.left_out_warning(self.demos().len()) {
+            warnings.push(left_out);
+        } else {
+            let without_first = if self.late { self.demos().len() } else { 0 };
+            let recorded = tally.frames() + without_first;
+            warnings.extend(self.reader.total_warning(recorded as u64)?);
         }
         warnings.extend(tally.warnings());
         let conventions = self.interpreter.warnings().iter();

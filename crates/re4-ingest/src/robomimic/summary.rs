@@ -11,10 +11,11 @@ use crate::error::{Fault, IngestError};
 use crate::warning::{Warning, WarningCode};
 
 /// Datasets that are ingested, in addition to the images of cameras.
-const TAKEN: [&str; 10] = [
+const TAKEN: [&str; 11] = [
     "actions",
     "action_dict",
     "actions_abs",
+    "datagen_info",
     "dones",
     "obs/object",
     "obs/robot0_eef_pos",
@@ -99,7 +100,7 @@ impl RobomimicReader {
     /// A group cannot be read.
     pub(super) fn skipped_warning(&self, cameras: &[String]) -> Result<Option<Warning>, IngestError> {
         let taken = |name: &str| {
-            let camera = name.strip_prefix("obs/").and_then(|name| name.strip_suffix("_image"));
+            let camera = name.strip_prefix("obs/").and_then(|name| self.image_names.camera(name));
             TAKEN.contains(&name) || camera.is_some_and(|camera| cameras.iter().any(|taken| taken == camera))
         };
         let skipped = self.skipped(taken).map_err(|fault| Fault::from(fault).of(&self.path))?;

@@ -88,6 +88,11 @@ impl Survey {
         }
     }
 
+    /// Whether no demonstration has `obs/object`.
+    pub(super) fn lacks_objects(&self) -> bool {
+        !self.objects
+    }
+
     /// Whether the pose of the object must be computed from the states: no demonstration has it, and all have states and a model.
     pub(super) fn object_from_states(&self) -> bool {
         !self.objects && self.states

@@ -308,7 +308,7 @@ impl<'a> File<'a> {
         conventions.actions = ActionReading { gripper, ..reading };
         proofs.extend(rows);
         let deltas = self.controls.as_ref().filter(|_| kind == ActionKind::Delta);
-        let (initial, proof) = initial_goal(&conventions, demos, deltas, settings.initial_goal)?;
+        let (initial, proof) = initial_goal(&conventions, demos, deltas, (settings.initial_goal, env.resets_panda()))?;
         conventions.initial_goal = initial;
         proofs.push(proof);
         Ok((conventions, proofs))

@@ -15,6 +15,7 @@ mod demo;
 mod detect;
 mod eef;
 mod evidence;
+mod frames;
 mod goals;
 mod gripper;
 mod monitor;
@@ -32,6 +33,7 @@ pub use commands::Controls;
 pub use demo::{DemoArrays, Rows, zero_rows};
 pub use detect::{Detection, RefusedDemo};
 pub use evidence::{Basis, Candidate, Evidence, MARGIN, Proof};
+pub use frames::{BasedDeltas, delta_frame};
 pub use monitor::{Contradiction, DemoResiduals, QUATERNION_TOLERANCE};
 pub use re4_task::{ObjectLayout, RobosuiteTask};
 pub use reading::{ActionFrame, ActionReading, ActionRotation, ActionScale, GripperRange, InitialGoal};
@@ -124,7 +126,7 @@ pub struct Settings {
     /// Direction in which delta actions rotate the end effector.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_rotation: Option<ActionRotation>,
-    /// Frame of absolute actions.
+    /// Frame of absolute actions, and of the delta actions of robosuite 1.5 if the robot's base is turned.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_frame: Option<ActionFrame>,
     /// Range of gripper commands.

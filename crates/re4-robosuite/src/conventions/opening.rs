@@ -41,16 +41,18 @@ fn distance_and_angle(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
     (distance, a.rotation.angle_to(&b.rotation))
 }
 
-/// Determines the pose from deltas (if `controls` is given) or from absolute goals.
+/// Determines the pose from deltas (if `controls` is given) or from absolute goals. `resets_panda` states whether robosuite's reset
+/// pose of a Panda is the one that the robot was reset to.
 pub(super) fn initial_goal(
     conventions: &Conventions,
     demos: &[ValidDemo<'_>],
     controls: Option<&Controls>,
-    set: Option<InitialGoal>,
+    (set, resets_panda): (Option<InitialGoal>, bool),
 ) -> Result<(InitialGoal, Proof), Unproven> {
     let mut known = Vec::new();
     for demo in demos {
-        let reset = demo.arrays.model.and_then(|model| model.site_at(&PANDA_RESET).ok());
+        let model = demo.arrays.model.filter(|_| resets_panda);
+        let reset = model.and_then(|model| model.site_at(&PANDA_RESET).ok());
         let first = demo.arrays.eef_pos.first().zip(demo.arrays.eef_quat.first());
         let first = first.and_then(|(position, quaternion)| conventions.site_pose(*position, *quaternion));
         known.extend(first.zip(reset).map(|(first, reset)| (demo, first, reset)));

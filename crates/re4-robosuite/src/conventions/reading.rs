@@ -20,7 +20,7 @@ pub enum ActionScale {
     Numbers,
 }
 
-/// Frame of absolute actions.
+/// Frame of absolute actions, and of the delta actions of robosuite 1.5.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActionFrame {

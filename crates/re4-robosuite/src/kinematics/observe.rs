@@ -52,6 +52,73 @@ impl Model {
         Ok(*self.forward(&qpos)?.site(robot.grip_site))
     }
 
+    /// World pose, in each of these flattened states, of the frame in which a controller of robosuite 1.5 reads commands with
+    /// `input_ref_frame = "base"`: the site `robot0_right_center`, or the body `robot0_base` in models without that site. Returns
+    /// `None` if the model has neither.
+    ///
+    /// # Errors
+    /// If a state does not belong to this model.
+    pub fn command_frames<'a>(
+        &self,
+        states: impl Iterator<Item = &'a [f64]>,
+    ) -> Result<Option<Vec<Isometry3<f64>>>, KinematicsError> {
+        let site = self.sites.iter().find(|site| site.name == "robot0_right_center");
+        let body = || self.bodies.iter().position(|body| body.name == "robot0_base");
+        let Some((body, offset)) = site
+            .map(|site| (site.body, site.pose))
+            .or_else(|| Some((body()?, Isometry3::identity())))
+        else {
+            return Ok(None);
+        };
+        let needed = self.with_ancestors(std::iter::once(body));
+        let mut poses = vec![Isometry3::identity(); self.bodies.len()];
+        states
+            .map(|state| {
+                let state = self.split(state)?;
+                self.place(state.qpos, needed.iter().copied(), &mut poses)?;
+                Ok(poses[body] * offset)
+            })
+            .collect::<Result<Vec<_>, _>>()
+            .map(Some)
+    }
+
+    /// Whether robot 0 stands on joints, as a mobile base does.
+    #[must_use]
+    pub fn moves_its_base(&self) -> bool {
+        let base = self.bodies.iter().position(|body| body.name == "robot0_base");
+        let ancestors = self.with_ancestors(base.into_iter());
+        ancestors.into_iter().any(|body| !self.bodies[body].joints.is_empty())
+    }
+
+    /// World poses of the body of an object or fixture in each of these flattened states. `name` is the name of the body, with or
+    /// without robosuite's suffixes. Returns `None` if there is no such body.
+    ///
+    /// # Errors
+    /// If a state does not belong to this model.
+    pub fn body_poses<'a>(
+        &self,
+        name: &str,
+        states: impl Iterator<Item = &'a [f64]>,
+    ) -> Result<Option<Vec<Isometry3<f64>>>, KinematicsError> {
+        let named = |ending: &str| {
+            let wanted = format!("{name}{ending}");
+            self.bodies.iter().position(|body| body.name == wanted)
+        };
+        let Some(body) = ["_main", "", "_root", "0"].into_iter().find_map(named) else {
+            return Ok(None);
+        };
+        let needed = self.with_ancestors(std::iter::once(body));
+        let mut poses = vec![Isometry3::identity(); self.bodies.len()];
+        states
+            .map(|state| {
+                let state = self.split(state)?;
+                self.place(state.qpos, needed.iter().copied(), &mut poses)?;
+                Ok(poses[body])
+            })
+            .collect::<Result<Vec<_>, _>>()
+            .map(Some)
+    }
+
     /// Computes the poses of robot 0 and an object in each of these flattened states.
     ///
     /// `object` is the object's name in observations: `cube`, `Can`, `SquareNut`.
