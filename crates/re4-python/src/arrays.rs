@@ -33,12 +33,18 @@ pub(crate) fn table<'py, const N: usize>(
     PyArray1::from_vec(py, numbers).reshape([count, N])
 }
 
-/// A pose from position (x, y, z) and quaternion (x, y, z, w), which need not be of unit length. A quaternion without a direction
-/// gives a pose that is not finite, which the libraries refuse.
+/// Deviation of the squared length of a quaternion from 1 that rounding can cause.
+const ROUNDING: f64 = 1e-12;
+
+/// A pose from position (x, y, z) and quaternion (x, y, z, w). A quaternion of another length than 1 is normalized; one of unit length
+/// keeps its bits. A quaternion without a direction gives a pose that is not finite, which the libraries refuse.
 pub(crate) fn pose(numbers: &[f64; 7]) -> Isometry3<f64> {
     let [x, y, z, i, j, k, w] = *numbers;
-    Isometry3::from_parts(
-        Translation3::new(x, y, z),
-        UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k)),
-    )
+    let quaternion = Quaternion::new(w, i, j, k);
+    let rotation = if (quaternion.norm_squared() - 1.0).abs() < ROUNDING {
+        UnitQuaternion::new_unchecked(quaternion)
+    } else {
+        UnitQuaternion::new_normalize(quaternion)
+    };
+    Isometry3::from_parts(Translation3::new(x, y, z), rotation)
 }

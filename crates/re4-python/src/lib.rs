@@ -5,6 +5,7 @@
 //! the remedy that the command line prints.
 
 mod arrays;
+mod c_stderr;
 mod errors;
 mod policy;
 mod pusht;
@@ -35,6 +36,7 @@ fn manifest(py: Python<'_>, folder: PathBuf, verify: bool) -> PyResult<String> {
 /// Adds the classes and functions to the module.
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    c_stderr::set();
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<pusht::PushTSims>()?;
     module.add_class::<robosuite::RobosuiteSims>()?;

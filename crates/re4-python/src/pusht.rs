@@ -7,7 +7,10 @@ use pyo3::prelude::*;
 use rayon::prelude::*;
 use re4_fault::{Fault, Remedy as _, bail};
 use re4_geometry::{Point2, Pose2};
-use re4_sim::{Canvas, OBSERVATION_SIDE, PushT, PushTObservation, ResetOrder, Scene, SimError, Simulator as _, Step};
+use re4_sim::{
+    Canvas, OBSERVATION_SIDE, PushT, PushTObservation, ResetOrder, Scene, SimError, Simulator as _, Step,
+    tee_rectangles,
+};
 
 use crate::arrays::{rows, table};
 use crate::errors::raised;
@@ -179,14 +182,16 @@ impl PushTSims {
         ))
     }
 
-    /// The corners of the blocks: 16 numbers per simulation, x and y of 8 corners, px.
+    /// The corners of the blocks: 16 numbers per simulation, x and y of 8 corners, px. The order of operations is gym-pusht's.
     fn corners<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let inner = self.inner();
         let corners = inner.sims.iter().map(|sim| {
+            let block = sim.block_pose();
+            let (sine, cosine) = block.theta.sin_cos();
             let mut numbers = [0.0; 16];
-            let points = sim.block_vertices();
-            for (pair, point) in numbers.chunks_exact_mut(2).zip(points.iter().flatten()) {
-                (pair[0], pair[1]) = (point.x, point.y);
+            for (pair, p) in numbers.chunks_exact_mut(2).zip(tee_rectangles().iter().flatten()) {
+                pair[0] = (p.x * cosine - p.y * sine) + block.x;
+                pair[1] = (p.x * sine + p.y * cosine) + block.y;
             }
             numbers
         });

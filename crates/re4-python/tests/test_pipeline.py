@@ -17,10 +17,10 @@ def test_a_run_reports_its_progress_and_is_skipped_the_second_time(demo: re4_pip
     first = pipeline.run("index", progress=lines.append)
     assert first.passed
     assert first.artifact.kind == "index"
-    assert [line.split()[0] for line in lines] == ["ingest", "segment", "index"]
+    assert [word for line in lines if (word := line.split()[0]) != "warning"] == ["ingest", "segment", "index"]
     again: list[str] = []
     assert pipeline.run("index", progress=again.append).artifact.key == first.artifact.key
-    assert all("unchanged, skipped" in line for line in again)
+    assert sum("unchanged, skipped" in line for line in again) == 3
 
 
 def test_settings_override_the_file(demo: re4_pipe.Pipeline) -> None:

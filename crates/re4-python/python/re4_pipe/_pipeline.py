@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import subprocess
 import threading
@@ -149,14 +150,30 @@ def _communicate(call: Sequence[str], progress: Callable[[str], object] | None) 
     child = subprocess.Popen(
         call, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    assert child.stdout is not None
-    assert child.stderr is not None
+    lines: queue.SimpleQueue[tuple[bool, str] | None] = queue.SimpleQueue()
+    readers = [
+        threading.Thread(target=_read, args=(stream, is_note, lines), daemon=True)
+        for is_note, stream in ((False, child.stdout), (True, child.stderr))
+    ]
     output: list[str] = []
-    reader = threading.Thread(target=_read, args=(child.stdout, output), daemon=True)
-    reader.start()
     notes: list[str] = []
     try:
-        for line in child.stderr:
+        for reader in readers:
+            reader.start()
+        open_streams = len(readers)
+        while open_streams:
+            try:
+                # The limit lets this thread handle an interrupt that the system delivered to another one.
+                item = lines.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            if item is None:
+                open_streams -= 1
+                continue
+            is_note, line = item
+            if not is_note:
+                output.append(line)
+                continue
             notes.append(line.rstrip("\n"))
             if progress is not None:
                 progress(notes[-1])
@@ -164,17 +181,17 @@ def _communicate(call: Sequence[str], progress: Callable[[str], object] | None) 
     except BaseException:
         _stop(child)
         raise
-    finally:
-        child.stderr.close()
-        reader.join()
     if code == 128 + signal.SIGINT or code == -signal.SIGINT:
         raise KeyboardInterrupt
     return code, "".join(output), notes
 
 
-def _read(stream: IO[str], into: list[str]) -> None:
+def _read(stream: IO[str], is_note: bool, into: queue.SimpleQueue[tuple[bool, str] | None]) -> None:
+    """Passes on the lines of a stream; None is its end."""
     with stream:
-        into.extend(stream)
+        for line in stream:
+            into.put((is_note, line))
+    into.put(None)
 
 
 def _stop(child: subprocess.Popen[str]) -> None:
