@@ -119,7 +119,7 @@ fn the_wheel_works_in_a_clean_environment_without_a_compiler() {
 }
 
 #[test]
-fn the_tests_of_the_package_pass() {
+fn the_tests_of_the_package_and_its_notebooks_pass() {
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let wheel = wheel(&python, folder.path());
@@ -151,6 +151,17 @@ fn the_tests_of_the_package_pass() {
     let report = run(&mut pytest);
     for line in report.lines().filter(|line| line.contains("skipped")) {
         println!("skipped: {line}");
+    }
+
+    // The notebooks that begin with the installation of the package.
+    let repository = crate_folder().join("../..");
+    for name in ["keep-list", "policy"] {
+        run(Command::new(&python)
+            .arg(repository.join("tests/run_notebook.py"))
+            .arg(repository.join(format!("notebooks/{name}.ipynb")))
+            .env("PYTHONPATH", &installed)
+            .env("RE4_DATA", repository.join("data"))
+            .env("RE4_WORK", folder.path()));
     }
 }
 
