@@ -46,3 +46,23 @@ def test_a_missing_command_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path
     monkeypatch.setenv("PATH", "")
     with pytest.raises(re4_pipe.Re4Error, match="not installed; install the wheel"):
         _command.command()
+
+
+def test_the_stubs_describe_the_extension_module() -> None:
+    import ast
+    from pathlib import Path
+
+    from re4_pipe import _native
+
+    stubs = ast.parse(Path(_native.__file__).with_name("_native.pyi").read_text())
+    described = {"__version__"}
+    for entry in stubs.body:
+        if isinstance(entry, ast.FunctionDef):
+            described.add(entry.name)
+        elif isinstance(entry, ast.ClassDef):
+            described.add(entry.name)
+            methods = {method.name for method in entry.body if isinstance(method, ast.FunctionDef)} - {"__new__"}
+            actual = {name for name in dir(getattr(_native, entry.name)) if not name.startswith("_")}
+            assert methods == actual, entry.name
+    actual = {name for name in dir(_native) if not name.startswith("_")} | {"__version__"}
+    assert described == actual - {"__all__"}

@@ -13,7 +13,7 @@ from conftest import REPOSITORY
 import re4_pipe
 import re4_pipe.envs
 
-PLANAR = ["re4", "paper", "re2", "nearest", "gpi", "vinn", "alt"]
+PLANAR = ["re4", "paper", "re2", "nearest", "gpi", "vinn", "alt", "diffusion", "flow"]
 
 
 def scene(seed: int) -> list[float]:
@@ -29,7 +29,10 @@ def pl_seed(seed: int) -> polars.Expr:
 
 @pytest.mark.parametrize("kind", PLANAR)
 def test_actions_are_those_of_the_rollouts(demo: re4_pipe.Pipeline, kind: str) -> None:
-    rollouts = demo.run("rollout", set={"policy.kind": kind, "rollout.max_steps": 60}).artifact
+    settings = {"policy.kind": kind, "rollout.max_steps": 60}
+    if kind in ("diffusion", "flow"):
+        settings |= {"policy.training.steps": 20, "policy.training.batch": 8, "rollout.max_steps": 20}
+    rollouts = demo.run("rollout", set=settings).artifact
     policy = re4_pipe.Policy(rollouts)
     assert (policy.kind, policy.task, policy.observes_images) == (kind, "pusht", False)
     results, steps = rollouts.polars("results"), rollouts.polars("steps")
