@@ -4,6 +4,11 @@
 //! interface here is narrow. Work is done without the interpreter's lock. Errors become `re4_pipe.Re4Error` with the message and
 //! the remedy that the command line prints.
 
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "pyo3 passes the arguments of functions by value"
+)]
+
 mod arrays;
 mod c_stderr;
 mod errors;

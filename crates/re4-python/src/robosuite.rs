@@ -83,6 +83,7 @@ type Outcome<'py> = (
 impl RobosuiteSims {
     /// `count` simulations of a task from a demonstration's `model_file`. `version`: the version of robosuite that wrote it.
     #[new]
+    #[allow(clippy::too_many_arguments, reason = "they are the arguments of a Python class")]
     fn new(
         py: Python<'_>,
         task: &str,

@@ -9,8 +9,9 @@ use re4_encoder::{EncoderConfig, Predictor};
 use re4_fault::{OrFault as _, bail, fault};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Kinds, PlanePolicy, SpacePolicy};
-use re4_rollout::{Acting, Domain, Estimator, Opened, Plane, Space};
+use re4_rollout::{Acting, Estimator, Opened, Plane, Recorded, Space};
 use re4_sim::robosuite::{Profile, RobosuiteTask};
+use re4_task::Task;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
@@ -26,14 +27,14 @@ const AGAIN: &str = "delete the artifact and roll out again";
 type MakeEstimator<D> = Box<dyn Fn() -> Box<dyn Estimator<D> + Send> + Send + Sync>;
 
 /// A policy with which rollouts were made, opened with its demonstrations.
-pub struct LivePolicy<D: Domain + re4_rollout::Recorded> {
+pub struct LivePolicy<D: Recorded> {
     /// Name of the policy's kind, as in pipeline files.
     pub kind: String,
     opened: Box<dyn Opened<D>>,
     estimator: Option<MakeEstimator<D>>,
 }
 
-impl<D: re4_rollout::Recorded> LivePolicy<D> {
+impl<D: Recorded> LivePolicy<D> {
     /// Starts the policy for an episode. `seed` seeds its random numbers, `first` is the first proprioception.
     pub fn start(&self, seed: u32, first: &D::Proprio) -> Box<dyn Acting<D>> {
         self.opened.start(seed, first)
@@ -180,7 +181,7 @@ impl MadeFrom<'_> {
 
     fn space(&self) -> Result<AnyLivePolicy> {
         let policy: SpacePolicy = self.policy()?;
-        let task: re4_task::Task = self.setting("task")?;
+        let task: Task = self.setting("task")?;
         let task = task
             .robosuite()
             .or_fault(|| fault!("no simulator for this task"; "{AGAIN}"))?;
