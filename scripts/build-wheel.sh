@@ -27,4 +27,5 @@ cargo build --config "$work/profile.toml" --profile wheel --locked -p re4-pipe -
 for file in re4-pipe libre4_python.so; do
     strip -o "$work/$file" "target/wheel/$file"
 done
-python3 crates/re4-python/pack_wheel.py "$work/re4-pipe" "$work/libre4_python.so" target/wheels
+python3 scripts/third_party.py > "$work/notices.txt"
+python3 crates/re4-python/pack_wheel.py "$work/re4-pipe" "$work/libre4_python.so" target/wheels "$work/notices.txt"

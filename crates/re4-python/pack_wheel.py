@@ -1,9 +1,9 @@
 """Packs the Python package, the extension module and the native command into a wheel. Needs only Python 3.11's standard library.
 
-    python3 pack_wheel.py COMMAND EXTENSION FOLDER
+    python3 pack_wheel.py COMMAND EXTENSION FOLDER [NOTICES]
 
-COMMAND is the program re4-pipe and EXTENSION the library libre4_python.so; both should be stripped. The path of the wheel is
-printed. The same files give the same bytes.
+COMMAND is the program re4-pipe and EXTENSION the library libre4_python.so; both should be stripped. NOTICES has the licences of the
+software that they contain. The path of the wheel is printed. The same files give the same bytes.
 
 The command and the extension are built by one call of cargo, so that they share the dependencies. A build tool for extension
 modules would compile them a second time, with other features.
@@ -71,7 +71,7 @@ class Wheel:
 
 
 def main() -> None:
-    command, extension, folder = map(Path, sys.argv[1:])
+    command, extension, folder, *notices = map(Path, sys.argv[1:])
     project = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]
     binaries = [command.read_bytes(), extension.read_bytes()]
     minor = project["requires-python"].removeprefix(">=3.")
@@ -94,6 +94,8 @@ def main() -> None:
     wheel.add(f"{info}/WHEEL", f"Wheel-Version: 1.0\nGenerator: pack_wheel\nRoot-Is-Purelib: false\nTag: {tag}\n".encode())
     for licence in ("LICENSE-APACHE", "LICENSE-MIT"):
         wheel.add(f"{info}/licenses/{licence}", (HERE / "../.." / licence).read_bytes())
+    for file in notices:
+        wheel.add(f"{info}/licenses/THIRD-PARTY.txt", file.read_bytes())
     wheel.write(f"{info}/RECORD", "\n".join([*wheel.record, f"{info}/RECORD,,", ""]).encode(), 0o644)
     wheel.zip.close()
     part.replace(path)
