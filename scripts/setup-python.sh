@@ -40,5 +40,8 @@ echo "setup-python: installing the packages of tests/requirements.txt into $envi
 rm -rf "$environment"
 "$base" -m venv "$environment"
 "$environment/bin/python" -m pip install --quiet --no-compile --disable-pip-version-check --no-input -r tests/requirements.txt
+# What the wheel of the Python package needs in a clean environment, which a test makes without a network.
+"$environment/bin/python" -m pip download --quiet --disable-pip-version-check --no-input --no-deps --dest "$environment/wheels" \
+    "$(grep '^numpy==' notebooks/requirements.txt)"
 # Written last, so that an interrupted setup is repeated.
 echo "$wanted" > "$stamp"

@@ -68,7 +68,7 @@ fn count_images(place: &Place) -> usize {
 
 #[test]
 fn notebooks_are_stored_without_outputs() {
-    for name in ["pusht.ipynb", "audit.ipynb"] {
+    for name in ["pusht.ipynb", "audit.ipynb", "keep-list.ipynb", "policy.ipynb"] {
         let cells = cells(&notebook(name));
         let code: Vec<&Value> = cells.iter().filter(|cell| cell["cell_type"] == "code").collect();
         assert!(

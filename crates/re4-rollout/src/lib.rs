@@ -14,6 +14,7 @@
 mod conditions;
 mod domain;
 mod env;
+mod live;
 mod noise;
 mod policy;
 mod record;
@@ -27,6 +28,7 @@ mod trace;
 pub use conditions::{AppliedDisturbance, Conditions, Displaced, Displacement, Disturbance, Disturbed};
 pub use domain::{ArmAction, ArmState, Domain, Plane, PlaneScene, Space, SpaceFirst, robosuite_action};
 pub use env::{Env, Image, PushTEnv, RobosuiteEnv};
+pub use live::{Acted, Acting, Given};
 pub use noise::PoseNoise;
 pub use policy::{Act, Phase, Policy, PolicyError, PolicyFactory};
 pub use record::{Batch, Explained, Explanation, Named, Opened, RecordError, Recording};

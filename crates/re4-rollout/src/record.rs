@@ -5,10 +5,11 @@ use re4_episode::DemoNames;
 use re4_fault::Remedy;
 use thiserror::Error;
 
+use crate::live::start;
 use crate::trace::traced;
 use crate::{
-    DecisionCore, Domain, Harness, Job, Policy, PolicyFactory, Recorded, ResultCore, RolloutError, Start, StepCore,
-    Traced, rollouts,
+    Acting, DecisionCore, Domain, Harness, Job, Policy, PolicyFactory, Recorded, ResultCore, RolloutError, Start,
+    StepCore, Traced, rollouts,
 };
 
 /// A decision record that can be written to tables.
@@ -67,7 +68,11 @@ pub struct Batch<D: Recorded> {
 }
 
 /// An opened policy with its type erased.
-pub trait Opened<D: Recorded>: Sync {
+pub trait Opened<D: Recorded>: Send + Sync {
+    /// Starts the policy for an episode whose observations the caller gives. `seed` and `first` are as in
+    /// [`PolicyFactory::start`].
+    fn start(&self, seed: u32, first: &D::Proprio) -> Box<dyn Acting<D>>;
+
     /// Starts the policy-specific table.
     ///
     /// # Errors
@@ -118,10 +123,15 @@ pub struct Named<F> {
     pub names: DemoNames,
 }
 
-impl<D: Recorded, F: PolicyFactory<D>> Opened<D> for Named<F>
+impl<D: Recorded, F: PolicyFactory<D> + Send> Opened<D> for Named<F>
 where
+    F::Policy: Send + 'static,
     <F::Policy as Policy<D>>::Decision: Explained<D>,
 {
+    fn start(&self, seed: u32, first: &D::Proprio) -> Box<dyn Acting<D>> {
+        start(&self.factory, &self.names, seed, first)
+    }
+
     fn begin<'a>(&'a self, writer: &Writer) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError> {
         Ok(Box::new(Detailed::<'a, D, F> {
             opened: self,

@@ -182,6 +182,11 @@ impl PushT {
         }
     }
 
+    /// The pose of the block with the angle as the physics library counts it, without wrapping.
+    pub fn block_pose(&self) -> Pose2 {
+        self.world.block_pose()
+    }
+
     /// The current state with its coverage and the contacts of the last reset or step; runs no physics.
     pub fn outcome(&self) -> Step<PushTObservation> {
         let observation = self.observation();

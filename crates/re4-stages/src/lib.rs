@@ -20,6 +20,7 @@ pub mod tables;
 pub mod testing;
 
 pub use doctor::{Finding, State, doctor};
+pub use inputs::simulators::TaskScene;
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, TRY_AGAIN, answer, was_interrupted};
 pub use notes::{Notes, fault_of, print_error};
@@ -31,8 +32,8 @@ pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, warning_text};
 pub use stages::{
-    BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
-    PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, metrics, read_rollouts,
-    serve_ingest,
+    AnyLivePolicy, BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
+    LivePolicy, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, metrics,
+    open_policy, read_rollouts, serve_ingest,
 };
 pub use suite::{Cell, Selection, Suite, read_suite, suite_schema};

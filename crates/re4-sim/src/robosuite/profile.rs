@@ -31,7 +31,7 @@ impl Profile {
     }
 
     /// The major and minor version number.
-    pub(super) fn version(self) -> (u32, u32) {
+    pub fn version(self) -> (u32, u32) {
         match self {
             Self::V1_4 => (1, 4),
             Self::V1_5 => (1, 5),

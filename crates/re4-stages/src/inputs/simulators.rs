@@ -1,7 +1,7 @@
 //! Opens the robosuite simulator for the demonstrations of an `episodes` artifact.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, Result};
@@ -11,7 +11,7 @@ use re4_ingest::{DemoRow, ModelRow};
 use re4_mujoco::{Gl, Library, Version};
 use re4_robosuite::models::with_assets;
 use re4_robosuite::physics::{without_contacts, without_visuals};
-use re4_sim::robosuite::{Fidelity, Profile, RobosuiteModel, RobosuiteTask};
+use re4_sim::robosuite::{Fidelity, Placement, Profile, RobosuiteModel, RobosuiteTask};
 use tracing::{debug, info};
 
 use crate::runner::Runner;
@@ -43,28 +43,34 @@ impl Runner {
     /// # Errors
     /// If no version of MuJoCo or no meshes are installed, or if images are needed and no OpenGL library is installed.
     pub fn require_simulator(&self, what: &str) -> Result<()> {
-        const REMEDY: &str = "run scripts/setup-simulators.sh, or set RE4_SIMULATORS to the folder that it filled; re4-pipe doctor lists what is missing";
         let pipeline = &self.pipeline;
         if pipeline.task.is_planar() {
             return Ok(());
         }
         let task = pipeline.task.name();
-        let (folder, assets) = (simulators_folder(), assets_folder());
-        ensure!(
-            Version::ALL.into_iter().any(|version| mujoco_folder(version).is_dir()),
-            "cannot {what} {}: MuJoCo is not in {}", task, folder.display();
-            "{REMEDY}"
-        );
-        ensure!(
-            assets.is_dir(),
-            "cannot {what} {}: robosuite's meshes are not in {}", task, assets.display();
-            "{REMEDY}"
-        );
+        require_folders(|| format!("cannot {what} {task}"))?;
         if pipeline.needs_renderer() {
             Gl::of_process().with_context(|| format!("cannot {what} {task}, which needs images"))?;
         }
         Ok(())
     }
+}
+
+/// Returns an error if no version of MuJoCo or no meshes are installed. `cannot` is the beginning of its sentence.
+fn require_folders(cannot: impl Fn() -> String) -> Result<()> {
+    const REMEDY: &str = "run scripts/setup-simulators.sh, or set RE4_SIMULATORS to the folder that it filled; re4-pipe doctor lists what is missing";
+    let (folder, assets) = (simulators_folder(), assets_folder());
+    ensure!(
+        Version::ALL.into_iter().any(|version| mujoco_folder(version).is_dir()),
+        "{}: MuJoCo is not in {}", cannot(), folder.display();
+        "{REMEDY}"
+    );
+    ensure!(
+        assets.is_dir(),
+        "{}: robosuite's meshes are not in {}", cannot(), assets.display();
+        "{REMEDY}"
+    );
+    Ok(())
 }
 
 /// Loads the MuJoCo version that belongs to a version of robosuite.
@@ -127,6 +133,67 @@ pub(crate) fn simulator_of(episodes: &Artifact) -> Result<(Profile, Library)> {
     Ok((profile, library))
 }
 
+/// The MJCF of a demonstration's `model_file` for physics, with the assets in `folder`.
+fn physics_of(model_file: &str, task: RobosuiteTask, fidelity: Fidelity, folder: &Path) -> Result<String> {
+    // Removed first, so that physics does not require the textures and visual meshes to be installed.
+    let mut text = without_visuals(model_file)
+        .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))?;
+    if fidelity == Fidelity::Fast {
+        text = without_contacts(&text, &task.unused_bodies()).map_err(anyhow::Error::msg)?;
+    }
+    Ok(with_assets(&text, folder)?)
+}
+
+/// A scene of a robosuite task, for simulations outside of rollouts.
+pub struct TaskScene {
+    task: RobosuiteTask,
+    profile: Profile,
+    library: Library,
+    fidelity: Fidelity,
+    mjcf: String,
+    /// The compiled model, unless the model of every seed is another one.
+    shared: Option<RobosuiteModel>,
+}
+
+impl TaskScene {
+    /// Opens the scene of a `model_file` that this version of robosuite wrote.
+    ///
+    /// # Errors
+    /// If MuJoCo's library or a mesh is missing, or the model is not one of the task.
+    pub fn open(task: RobosuiteTask, profile: Profile, model_file: &str, fidelity: Fidelity) -> Result<Self> {
+        let place = || format!("cannot simulate {}", task.name);
+        require_folders(place)?;
+        let mut scene = Self {
+            task,
+            profile,
+            library: library(profile).with_context(place)?,
+            fidelity,
+            mjcf: physics_of(model_file, task, fidelity, &assets_folder()).with_context(place)?,
+            shared: None,
+        };
+        if !task.samples_models() {
+            scene.shared = Some(scene.compile(&scene.mjcf)?);
+        }
+        Ok(scene)
+    }
+
+    /// The model in which a placement starts. If the size of a box depends on the seed (Lift's cube), this compiles a model.
+    ///
+    /// # Errors
+    /// If MuJoCo cannot compile it.
+    pub fn model(&self, placement: &Placement) -> Result<RobosuiteModel> {
+        match &self.shared {
+            Some(model) => Ok(model.clone()),
+            None => self.compile(&placement.in_model(&self.mjcf)?),
+        }
+    }
+
+    fn compile(&self, mjcf: &str) -> Result<RobosuiteModel> {
+        let model = RobosuiteModel::compile(&self.library, self.task, self.profile, mjcf)?;
+        Ok(model.with_fidelity(self.fidelity))
+    }
+}
+
 impl Scenes {
     /// Opens the scenes of this artifact.
     ///
@@ -141,15 +208,7 @@ impl Scenes {
             let user = demos.iter().find(|demo| demo.model == Some(model));
             let demo = user.map_or("a demonstration", |demo| &demo.demo);
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
-            // Removed first, so that physics does not require the textures and visual meshes to be installed.
-            let mut text = without_visuals(&text)
-                .map_err(|error| anyhow::anyhow!("its model_file is not readable as XML: {error}"))
-                .with_context(place)?;
-            if fidelity == Fidelity::Fast {
-                text = without_contacts(&text, &task.unused_bodies()).map_err(anyhow::Error::msg)?;
-            }
-            let text = with_assets(&text, &folder).with_context(place)?;
-            mjcf.push(text);
+            mjcf.push(physics_of(&text, task, fidelity, &folder).with_context(place)?);
         }
         Ok(Self {
             task,

@@ -4,6 +4,7 @@ mod budgets;
 mod curate;
 mod estimators;
 mod influence;
+mod live;
 mod plane;
 mod space;
 
@@ -23,6 +24,7 @@ use crate::runner::{Built, Runner};
 pub use budgets::BudgetRow;
 pub use curate::{Curated, Curation};
 pub use influence::{Checked, Influenced, Judge};
+pub use live::{AnyLivePolicy, LivePolicy, open_policy};
 pub use plane::read_rollouts;
 pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};
 
