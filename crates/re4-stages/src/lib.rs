@@ -32,7 +32,7 @@ pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, warning_text};
 pub use stages::{
     BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
-    PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, metrics, read_rollouts,
-    serve_ingest,
+    PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, describe, metrics,
+    read_rollouts, serve_ingest,
 };
 pub use suite::{Cell, Selection, Suite, read_suite, suite_schema};
