@@ -445,10 +445,8 @@ fn vector(
             });
         }
     }
-    // Elements of a feature with its own name, such as observation.state.gripper, also have the words of that name.
-    let plain = usual
-        .iter()
-        .any(|name| elements.iter().all(|element| element.feature == *name));
+    // Elements of several features also have the names of these, such as observation.gripper.0.
+    let plain = elements.windows(2).all(|pair| pair[0].feature == pair[1].feature);
     let names: Vec<String> = elements
         .iter()
         .map(|element| match plain || element.name.starts_with(&element.feature) {

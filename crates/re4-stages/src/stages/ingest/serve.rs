@@ -16,8 +16,9 @@ use crate::notes::fault_of;
 /// How long a worker may take to stop by itself after its parent has closed the worker's standard input.
 const GRACE: Duration = Duration::from_millis(400);
 
-/// Maximum length of a request that a worker reads, in bytes.
-const MAX_REQUEST: u64 = 16 << 20;
+/// Maximum length of a request that a worker reads, in bytes. It lists the files of a LeRobot dataset, about 150 bytes each; datasets of
+/// version 2 have several files per episode.
+const MAX_REQUEST: u64 = 256 << 20;
 
 /// The worker process: reads its request from standard input, makes and publishes the artifact, and reports to its parent on
 /// standard output.
