@@ -25,6 +25,7 @@ mod images;
 mod influence;
 mod interrupt;
 mod kill;
+mod lerobot;
 mod notebooks;
 mod notes;
 mod pipeline;

@@ -12,6 +12,7 @@
 mod bitplanes;
 mod compression;
 mod demos;
+mod describe;
 mod error;
 mod left_out;
 pub mod lerobot;
@@ -25,6 +26,7 @@ mod warning;
 mod zarr;
 
 pub use demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Matrix, Tally};
+pub use describe::{Description, Fact, Use};
 pub use error::{Fault, IngestError};
 pub use left_out::{OnBad, refusal};
 pub use name::{Pick, SourceName};

@@ -13,7 +13,7 @@ use crate::dataset::{Dataset, Episode};
 use crate::fault::{Fault, Faults, Kind, LerobotError};
 use crate::info::Content;
 use crate::table::{self, Table};
-use crate::video::Stop;
+use crate::video::{Stop, Video};
 
 /// Maximum size of a block of images, in bytes. A block has at least one image.
 const BLOCK: usize = 8 << 20;
@@ -144,6 +144,9 @@ impl<E, F: FnMut(Result<ImageBlock, (usize, Faults)>) -> Result<(), E>> Blocks<'
     }
 }
 
+/// The video that stays open between the episodes of a camera, with the number of its file.
+type Opened = Option<(u32, Video)>;
+
 /// What stays open between the episodes of a camera with PNG images.
 #[derive(Default)]
 struct Pngs {
@@ -180,6 +183,7 @@ impl Dataset {
     ) -> Result<(), E> {
         let content = self.info.feature(camera).map(|feature| feature.content);
         let mut pngs = Pngs::default();
+        let mut opened: Opened = None;
         for number in episodes {
             let Some(episode) = self.episodes.get(number) else {
                 let what = format!(
@@ -199,7 +203,7 @@ impl Dataset {
             };
             let read = match content {
                 Some(Content::Video) if self.videos.contains_key(camera) => {
-                    self.video_images(camera, episode, all, stop, &mut blocks)
+                    self.video_images(camera, episode, all, &mut opened, stop, &mut blocks)
                 }
                 Some(Content::Images) => self.table_images(camera, episode, all, &mut pngs, stop, &mut blocks),
                 _ => {
@@ -247,7 +251,7 @@ impl Dataset {
         let one = frame..frame + 1;
         let read = match self.info.feature(camera).map(|feature| feature.content) {
             Some(Content::Video) if self.videos.contains_key(camera) => {
-                self.video_images(camera, place, one, &|| false, &mut blocks)
+                self.video_images(camera, place, one, &mut None, &|| false, &mut blocks)
             }
             Some(Content::Images) => {
                 self.table_images(camera, place, one, &mut Pngs::default(), &|| false, &mut blocks)
@@ -266,17 +270,24 @@ impl Dataset {
         camera: &str,
         episode: &Episode,
         frames: std::ops::Range<usize>,
+        opened: &mut Opened,
         stop: Stop<'_>,
         blocks: &mut Blocks<'_, F>,
     ) -> Result<(), Halt<E>> {
-        let (video, first) = self
-            .video(camera, episode.index)
-            .map_err(|error| Halt::Episode(error.faults))?;
+        let place = episode.videos.get(camera).copied();
+        let (video, first) = match (opened.take(), place) {
+            (Some((file, video)), Some((same, first))) if file == same => (video, first),
+            _ => self
+                .video(camera, episode.index)
+                .map_err(|error| Halt::Episode(error.faults))?,
+        };
+        // After an error, the video is not put back, so that it is opened again.
         video.decode(first + frames.start..first + frames.end, stop, |_, planes| {
             blocks
                 .add(planes.width, planes.height, |bytes| planes.append_rgb(bytes))
                 .map_err(Halt::All)
         })?;
+        *opened = place.map(|(file, _)| (file, video));
         blocks.flush().map_err(Halt::All)
     }
 

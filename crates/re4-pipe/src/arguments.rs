@@ -70,7 +70,7 @@ pub(crate) enum Command {
     Video(VideoArguments),
     /// Verify every byte of artifacts against their manifests
     Verify(VerifyArguments),
-    /// Print the contents of an artifact: provenance, tables, columns with units, rows
+    /// Print the contents of an artifact, or what a dataset is and what can be done with it
     Inspect(InspectArguments),
     /// Ask a question about any artifacts in SQL; prints a table, JSON or CSV, or writes Parquet
     #[cfg(feature = "query")]
@@ -409,8 +409,8 @@ pub(crate) struct VerifyArguments {
 /// Arguments of `inspect`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct InspectArguments {
-    /// Folder of an artifact
-    #[arg(value_name = "ARTIFACT")]
+    /// Folder of an artifact, or a dataset
+    #[arg(value_name = "PATH")]
     pub(crate) path: PathBuf,
     /// Also print the first N rows of every table
     #[arg(long, value_name = "N", default_value_t = 0)]

@@ -33,7 +33,7 @@ pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, warning_text};
 pub use stages::{
     AnyLivePolicy, BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
-    LivePolicy, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, metrics,
-    open_policy, read_rollouts, serve_ingest,
+    LivePolicy, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, describe,
+    metrics, open_policy, read_rollouts, serve_ingest,
 };
 pub use suite::{Cell, Selection, Suite, read_suite, suite_schema};

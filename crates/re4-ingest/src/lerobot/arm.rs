@@ -7,6 +7,7 @@ use re4_lerobot::{Content, Dataset, Feature, Frames, Info, LerobotError};
 use super::keys::{LerobotKeys, Wanted, width};
 use super::opened::error_of;
 use super::roles::{Orientation, arm_of, roles};
+use crate::describe::Description;
 use crate::error::{Fault, IngestError};
 use crate::source::Stop;
 use crate::tables::{ArmColumns, Convention, SignalRole, SignalRow, SignalVector};
@@ -195,6 +196,36 @@ impl ArmLayout {
             element.basis = "count";
         }
         self.command = Some(count - 1);
+    }
+
+    /// Whether the gripper is known.
+    pub(super) fn has_gripper(&self) -> bool {
+        !self.gripper.is_empty() || self.command.is_some()
+    }
+
+    /// Adds which elements were found.
+    pub(super) fn describe(&self, about: &mut Description) {
+        let listed = |elements: &[Element], role: SignalRole| {
+            let of_role = elements.iter().filter(|element| element.role == role);
+            of_role
+                .map(|element| element.name.as_str())
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
+        let found = [
+            ("joints", listed(&self.state, SignalRole::Joint)),
+            ("position", listed(&self.state, SignalRole::EefPosition)),
+            ("rotation", listed(&self.state, SignalRole::EefOrientation)),
+            ("gripper", listed(&self.state, SignalRole::Gripper)),
+            (
+                "command",
+                self.command
+                    .map_or_else(String::new, |place| self.action[place].name.clone()),
+            ),
+        ];
+        for (name, value) in found.into_iter().filter(|(_, value)| !value.is_empty()) {
+            about.fact(name, value);
+        }
     }
 
     /// The rows of table `signals`.
@@ -414,10 +445,8 @@ fn vector(
             });
         }
     }
-    // Elements of a feature with its own name, such as observation.state.gripper, also have the words of that name.
-    let plain = usual
-        .iter()
-        .any(|name| elements.iter().all(|element| element.feature == *name));
+    // Elements of several features also have the names of these, such as observation.gripper.0.
+    let plain = elements.windows(2).all(|pair| pair[0].feature == pair[1].feature);
     let names: Vec<String> = elements
         .iter()
         .map(|element| match plain || element.name.starts_with(&element.feature) {

@@ -4,12 +4,14 @@
 //! episodes, and checks that no file changes. The numbers of Push-T are judged as those of its zarr stores are, in [`crate::pusht`].
 
 mod arm;
+mod describe;
 mod files;
 mod keys;
 mod opened;
 mod roles;
 mod source;
 
+pub use describe::describe;
 pub use files::LerobotFiles;
 pub use keys::LerobotKeys;
 pub use opened::LerobotDataset;

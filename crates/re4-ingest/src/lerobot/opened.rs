@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
 
 use re4_episode::episode_name;
 use re4_fault::Remedy as _;
@@ -16,6 +17,9 @@ use crate::selection::Selection;
 use crate::source::Stop;
 use crate::tables::LeftOut;
 use crate::warning::{Warning, WarningCode};
+
+/// Blocks of images that are decoded before they are taken; each has at most 8 MiB.
+const AHEAD: usize = 2;
 
 /// A dataset with the cameras whose images will be read.
 pub struct LerobotDataset {
@@ -178,31 +182,43 @@ impl LerobotDataset {
             .filter(|&number| place(number).is_some())
             .collect();
         let wanted = |number: usize| place(number).unwrap_or_default();
-        let read = self
-            .dataset
-            .images(camera, episodes.iter().copied(), &|| false, |block| {
-                let block = match block {
-                    Err((episode, faults)) => Err(LeftOut {
-                        demo: of
-                            .get(wanted(episode))
-                            .map(|(name, _)| name.name.clone())
-                            .unwrap_or_default(),
-                        why: sentence(&faults),
-                    }),
-                    Ok(block) => {
-                        let demo = wanted(block.episode) as u32;
-                        let frames = block.first..block.first + block.count;
-                        Ok(ImageBlock {
-                            places: frames.map(|frame| (demo, frame as u32)).collect(),
-                            height: block.height,
-                            width: block.width,
-                            bytes: block.bytes,
-                        })
-                    }
-                };
-                take(block).map_err(Halt::Taken)
+        let convert = |block: Result<re4_lerobot::ImageBlock, (usize, Faults)>| match block {
+            Err((episode, faults)) => Err(LeftOut {
+                demo: of
+                    .get(wanted(episode))
+                    .map(|(name, _)| name.name.clone())
+                    .unwrap_or_default(),
+                why: sentence(&faults),
+            }),
+            Ok(block) => {
+                let demo = wanted(block.episode) as u32;
+                let frames = block.first..block.first + block.count;
+                Ok(ImageBlock {
+                    places: frames.map(|frame| (demo, frame as u32)).collect(),
+                    height: block.height,
+                    width: block.width,
+                    bytes: block.bytes,
+                })
+            }
+        };
+        // The next block is decoded while the caller encodes this one.
+        std::thread::scope(|scope| {
+            let (sender, blocks) = sync_channel(AHEAD);
+            let numbers = episodes.iter().copied();
+            let decoding = scope.spawn(move || {
+                self.dataset.images(camera, numbers, &|| false, |block| {
+                    sender.send(block).map_err(|_| Halt::Taken(()))
+                })
             });
-        read.map_err(Halt::into_error)
+            for block in blocks {
+                take(convert(block))?;
+            }
+            match decoding.join() {
+                Ok(Err(Halt::Dataset(error))) => Err(error_of(error).into()),
+                Ok(_) => Ok(()),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        })
     }
 
     /// Warnings about statements that are wrong but not used.

@@ -167,6 +167,19 @@ impl LerobotSource {
         })
     }
 
+    /// The cameras that would be ingested if images were read.
+    ///
+    /// # Errors
+    /// A setting names a camera that is not there.
+    pub fn recorded(&self, choice: &LerobotChoice<'_>) -> Result<Vec<String>, IngestError> {
+        let all = LerobotChoice {
+            images: true,
+            ..*choice
+        };
+        all.cameras(self.opened.dataset.info())
+            .map_err(|fault| fault.of(&self.path))
+    }
+
     /// The conventions that the data proves.
     pub fn conventions(&self) -> &[Convention] {
         &self.conventions

@@ -104,6 +104,11 @@ struct Evidence {
     rewards: Option<[f64; 2]>,
 }
 
+/// Whether the features are those of Push-T.
+pub(crate) fn fits(dataset: &Dataset, keys: &LerobotKeys) -> bool {
+    Features::of(dataset, keys).is_ok()
+}
+
 /// Reads and judges the numbers of these episodes. Also returns the conventions that they prove.
 ///
 /// # Errors

@@ -6,6 +6,7 @@
 //! state at `t` and the action taken there. `meta/episode_ends` contains exclusive, cumulative ends.
 
 mod conventions;
+mod describe;
 mod episodes;
 mod follow;
 pub(crate) mod from_lerobot;
@@ -21,6 +22,7 @@ mod writer;
 
 pub use crate::tables::KEYPOINTS;
 pub use conventions::{ActionKind, AngleUnit, PushtConventions};
+pub use describe::describe;
 pub use episodes::{PushtEpisodes, Recorded};
 pub use images::{IMAGE_BUDGET, ImageBlock, ImageBlocks};
 pub use reader::{PushtOptions, PushtReader, PushtReading};

@@ -4,6 +4,7 @@
 //! lists of their names. Values are returned bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
 
 mod demo;
+mod describe;
 mod direct;
 mod fault;
 mod file;
@@ -23,6 +24,7 @@ mod summary;
 mod survey;
 
 pub use demo::Demo;
+pub use describe::describe;
 pub use fault::Hdf5Fault;
 pub use file::Access;
 pub use interpret::{Interpreted, Interpreter, Reading};

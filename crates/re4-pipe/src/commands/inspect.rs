@@ -1,11 +1,13 @@
-//! `re4-pipe inspect`: prints the contents of an artifact.
+//! `re4-pipe inspect`: prints the contents of an artifact, or what a dataset is and what can be done with it.
 
 use std::fmt::Write as _;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, ColumnSpec, Table, cell_text, json_description};
+use re4_artifact::{Artifact, ColumnSpec, MANIFEST_NAME, Table, cell_text, json_description};
 use re4_fault::ensure;
+use re4_ingest::Description;
 use re4_report::{is_spatial, planar_rollout, rollout_image};
+use re4_stages::{Interrupt, Notes, describe};
 use serde_json::{Value, json};
 
 use super::Outcome;
@@ -13,9 +15,15 @@ use crate::arguments::InspectArguments;
 use crate::console::Console;
 use crate::terminal::{cut, paragraph, width};
 
-/// Prints the provenance, tables and columns of an artifact.
+/// Prints the provenance, tables and columns of an artifact, or the description of a dataset.
 pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
+    if !arguments.path.join(MANIFEST_NAME).exists() {
+        let notes = Notes::new(arguments.common.quiet);
+        if let Some(about) = describe(&arguments.path, &Interrupt::listen(None), &notes)? {
+            return dataset(arguments, console, &about);
+        }
+    }
     let artifact = Artifact::open(&arguments.path)?;
     artifact.verify_bytes()?;
     let manifest = artifact.manifest();
@@ -73,6 +81,39 @@ pub(crate) fn inspect(arguments: &InspectArguments) -> Result<Outcome> {
         console.image(path, &svg)?;
     }
     console.answer(&json!({ "path": artifact.path(), "manifest": manifest, "tables": Value::Object(descriptions) }))?;
+    console.say(text.trim_end())?;
+    Ok(Outcome::Done)
+}
+
+/// Prints the description of a dataset.
+fn dataset(arguments: &InspectArguments, console: Console, about: &Description) -> Result<Outcome> {
+    ensure!(
+        arguments.rows == 0 && arguments.image.is_none(),
+        "cannot show rows or images of {}: it is a dataset, not an artifact", arguments.path.display();
+        "ingest it, then inspect the artifact"
+    );
+    let width = width();
+    let mut text = format!("{}\n", about.format);
+    let mut line = |name: &str, value: &str, indent: usize| {
+        let line = format!("{name:<12} {value}");
+        text += &paragraph(&line, indent, 13, width);
+        text.push('\n');
+    };
+    for fact in &about.facts {
+        line(&fact.name, &fact.value, 2);
+    }
+    for note in &about.notes {
+        line("note", note, 2);
+    }
+    match &about.task {
+        Some(task) => line("pipeline", &format!("task = \"{task}\""), 2),
+        None => line("pipeline", "no task fits", 2),
+    }
+    for each in &about.uses {
+        let answer = if each.possible { "yes" } else { "no" };
+        line(&each.command, &format!("{answer}: {}", each.how), 4);
+    }
+    console.answer(&json!({ "path": arguments.path, "dataset": about }))?;
     console.say(text.trim_end())?;
     Ok(Outcome::Done)
 }

@@ -1,6 +1,7 @@
 //! The stage `ingest`: makes `episodes` from a raw dataset. How a dataset is opened depends on its format; how its demonstrations
 //! are written does not.
 
+mod describe;
 mod hdf5;
 mod helper;
 mod lerobot;
@@ -28,6 +29,7 @@ use crate::inputs::sources::{find_source, left_out};
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
 
+pub use describe::describe;
 pub use serve::serve_ingest;
 use worker::Request;
 pub use worker::SUBCOMMAND as INGEST_WORKER;

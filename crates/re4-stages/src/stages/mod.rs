@@ -14,7 +14,7 @@ mod training;
 
 pub use compare::{Compared, compare};
 pub(crate) use ingest::WorkerCrashed;
-pub use ingest::{INGEST_WORKER, serve_ingest};
+pub use ingest::{INGEST_WORKER, describe, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};
 pub use rollout::{
     AnyLivePolicy, BudgetRow, Checked, Curated, Curation, Influenced, Judge, LivePolicy, metrics, open_policy,

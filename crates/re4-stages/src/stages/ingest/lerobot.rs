@@ -86,6 +86,14 @@ pub(super) fn serve(request: &Request, files: Option<&LerobotFiles>, interrupt: 
         stop: &stop,
     };
     let source = LerobotSource::read(&request.source, files.clone(), &choice, &options).map_err(or_interrupted)?;
+    if !section.render.is_empty() {
+        let recorded = source.recorded(&choice)?;
+        ensure!(
+            recorded.is_empty(),
+            "cannot render images for {}: it has recorded images ({})", request.source.display(), recorded.join(", ");
+            "remove ingest.render, or set ingest.lerobot.image to \"\""
+        );
+    }
     let recipe = request.recipe(json!(source.info()))?;
     let ingest = Ingest {
         section,

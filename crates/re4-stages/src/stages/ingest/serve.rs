@@ -8,16 +8,17 @@ use nix::sys::resource::{Resource, setrlimit};
 use re4_artifact::Store;
 use re4_fault::{OrFault as _, fault};
 
-use super::worker::{self, Format, Message, Request, Work, send};
-use super::{hdf5, helper, lerobot};
+use super::worker::{self, Format, Message, Work, send};
+use super::{describe, hdf5, helper, lerobot};
 use crate::interrupt::Interrupt;
 use crate::notes::fault_of;
 
 /// How long a worker may take to stop by itself after its parent has closed the worker's standard input.
 const GRACE: Duration = Duration::from_millis(400);
 
-/// Maximum length of a request that a worker reads, in bytes.
-const MAX_REQUEST: u64 = 16 << 20;
+/// Maximum length of a request that a worker reads, in bytes. It lists the files of a LeRobot dataset, about 150 bytes each; datasets of
+/// version 2 have several files per episode.
+const MAX_REQUEST: u64 = 256 << 20;
 
 /// The worker process: reads its request from standard input, makes and publishes the artifact, and reports to its parent on
 /// standard output.
@@ -34,27 +35,30 @@ pub fn serve_ingest() -> Result<()> {
         .context("cannot read the request")?;
     let work: Work = serde_json::from_str(&line)
         .or_fault(|| fault!("ingest-worker is an internal command"; "use re4-pipe ingest"))?;
-    let request = match work {
-        Work::Ingest(request) => *request,
+    let work = match work {
         Work::Render(setup) => return helper::serve(&setup, input),
+        work => work,
     };
     // The limits are a safeguard against damaged files. If the system refuses them, the sizes in the file are still checked.
-    let memory = worker::memory(&request);
+    let memory = worker::memory(&work);
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
-    let store = Store::open(&request.artifacts)?;
-    let interrupt = Interrupt::listen_with_report(Some(&store), |fault| send(&Message::failed(&fault)));
+    let store = match &work {
+        Work::Ingest(request) => Some(Store::open(&request.artifacts)?),
+        _ => None,
+    };
+    let interrupt = Interrupt::listen_with_report(store.as_ref(), |fault| send(&Message::failed(&fault)));
     let stop = interrupt.clone();
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut input, &mut std::io::sink());
         stop.request();
         std::thread::sleep(GRACE);
         // Kept until the process has ended, so that nothing more is published.
-        let _publication = store.abandon();
+        let _publication = store.as_ref().map(Store::abandon);
         #[allow(clippy::exit, reason = "the parent has ended, and the thread may be stuck in C code")]
         std::process::exit(2);
     });
-    let message = match serve(&request, &interrupt) {
+    let message = match serve(&work, &interrupt) {
         Ok(message) => message,
         Err(error) => Message::failed(&fault_of(&error)),
     };
@@ -62,7 +66,12 @@ pub fn serve_ingest() -> Result<()> {
     Ok(())
 }
 
-fn serve(request: &Request, interrupt: &Interrupt) -> Result<Message> {
+fn serve(work: &Work, interrupt: &Interrupt) -> Result<Message> {
+    let request = match work {
+        Work::Ingest(request) => request,
+        Work::Describe(question) => return describe::serve(question, interrupt).map(Message::Described),
+        Work::Render(_) => return Err(fault!("a helper does not read datasets"; "use re4-pipe ingest").into()),
+    };
     rayon::ThreadPoolBuilder::new()
         .num_threads(request.threads)
         .build_global()

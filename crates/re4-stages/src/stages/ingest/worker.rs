@@ -17,6 +17,7 @@ use anyhow::{Context as _, Result};
 use indicatif::ProgressBar;
 use re4_artifact::Key;
 use re4_fault::{Fault, OrFault as _, Remedy, bail, fault};
+use re4_ingest::Description;
 use re4_ingest::lerobot::LerobotFiles;
 use re4_ingest::robomimic::SourcesIdentity;
 use serde::{Deserialize, Serialize};
@@ -55,12 +56,11 @@ const MEMORY: u64 = 4 << 30;
 /// limit of the worker.
 const RENDERING: u64 = 2 << 30;
 
-/// Memory limit (`RLIMIT_DATA`) of the worker of this request, in bytes.
-pub(super) fn memory(request: &Request) -> u64 {
-    let rendering = if request.gl.is_some() {
-        request.threads as u64
-    } else {
-        0
+/// Memory limit (`RLIMIT_DATA`) of the worker of this work, in bytes.
+pub(super) fn memory(work: &Work) -> u64 {
+    let rendering = match work {
+        Work::Ingest(request) if request.gl.is_some() => request.threads as u64,
+        _ => 0,
     };
     MEMORY + RENDERING.saturating_mul(rendering)
 }
@@ -74,6 +74,8 @@ const STDERR_KEPT: u64 = 1 << 16;
 pub(crate) enum Work {
     /// A worker makes an artifact.
     Ingest(Box<Request>),
+    /// A worker describes a dataset.
+    Describe(Question),
     /// A helper of a worker renders demonstrations, which follow as one line of JSON each.
     Render(Setup),
 }
@@ -95,6 +97,17 @@ pub(crate) struct Request {
     pub(crate) artifacts: PathBuf,
     /// Number of threads.
     pub(crate) threads: usize,
+    /// Whether to stop at the first error in the file.
+    pub(crate) cautious: bool,
+}
+
+/// A dataset to describe.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Question {
+    /// The dataset.
+    pub(crate) source: PathBuf,
+    /// What reads it.
+    pub(crate) reader: Reader,
     /// Whether to stop at the first error in the file.
     pub(crate) cautious: bool,
 }
@@ -122,28 +135,98 @@ pub(crate) struct Hdf5 {
     pub(crate) compare_identity: Option<SourcesIdentity>,
 }
 
-impl Format {
+/// What reads a dataset in a worker.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Reader {
+    /// The HDF5 library.
+    Hdf5,
+    /// The decoders of LeRobot datasets.
+    Lerobot,
+}
+
+impl Reader {
     /// What is read, in messages.
-    fn name(&self) -> &'static str {
+    fn reads(self) -> &'static str {
         match self {
-            Self::Hdf5(_) => "HDF5",
-            Self::Lerobot(_) => "LeRobot data",
+            Self::Hdf5 => "HDF5",
+            Self::Lerobot => "LeRobot data",
         }
     }
 
-    /// What reads it, in messages.
-    fn reader(&self) -> &'static str {
+    /// Its name in messages.
+    fn name(self) -> &'static str {
         match self {
-            Self::Hdf5(_) => "the HDF5 library",
-            Self::Lerobot(_) => "the decoder of tables, images and videos",
+            Self::Hdf5 => "the HDF5 library",
+            Self::Lerobot => "the decoder of tables, images and videos",
         }
     }
 
-    /// What a dataset is compared with if it needs too much memory.
-    fn usual(&self) -> &'static str {
+    /// What a dataset that needs too much memory is, if it is not damaged.
+    fn too_large(self) -> &'static str {
         match self {
-            Self::Hdf5(_) => "far larger than robomimic's files",
-            Self::Lerobot(_) => "its row groups are far larger than those of LeRobot's writer",
+            Self::Hdf5 => "far larger than robomimic's files",
+            Self::Lerobot => "with row groups far larger than those of LeRobot's writer",
+        }
+    }
+}
+
+impl Work {
+    fn reader(&self) -> Reader {
+        match self {
+            Self::Describe(question) => question.reader,
+            Self::Ingest(request) => match request.format {
+                Format::Hdf5(_) => Reader::Hdf5,
+                Format::Lerobot(_) => Reader::Lerobot,
+            },
+            Self::Render(_) => Reader::Hdf5,
+        }
+    }
+
+    fn source(&self) -> &Path {
+        match self {
+            Self::Describe(question) => &question.source,
+            Self::Ingest(request) => &request.source,
+            Self::Render(_) => Path::new(""),
+        }
+    }
+
+    /// The OpenGL library for rendering.
+    fn gl(&self) -> Option<&str> {
+        match self {
+            Self::Ingest(request) => request.gl.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// What the parent does, in messages.
+    fn verb(&self) -> &'static str {
+        match self {
+            Self::Describe(_) => "inspect",
+            _ => "ingest",
+        }
+    }
+
+    fn is_cautious(&self) -> bool {
+        match self {
+            Self::Describe(question) => question.cautious,
+            Self::Ingest(request) => request.cautious,
+            Self::Render(_) => false,
+        }
+    }
+
+    /// The same work, ending at the first error in the file.
+    fn cautiously(&self) -> Option<Self> {
+        match self {
+            Self::Ingest(request) => Some(Self::Ingest(Box::new(Request {
+                cautious: true,
+                ..(**request).clone()
+            }))),
+            Self::Describe(question) => Some(Self::Describe(Question {
+                cautious: true,
+                ..question.clone()
+            })),
+            Self::Render(_) => None,
         }
     }
 }
@@ -158,6 +241,8 @@ pub(crate) enum Message {
     Models(Vec<String>),
     /// Hash and identity of the files of a LeRobot dataset. Which files these are is known only after it was opened.
     Hashed(Key, LerobotFiles),
+    /// What a dataset is.
+    Described(Description),
     /// The artifact is published.
     Done,
     /// The worker stopped with an error.
@@ -215,12 +300,12 @@ fn wait_at_gate(done: u64, interrupt: &Interrupt) {
 
 /// Runs a worker that makes the artifact.
 pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
-    work(request, interrupt, bar).map(drop)
+    work(&ingest(request), interrupt, bar).map(drop)
 }
 
 /// Asks a worker for the names of the model files that the source's demonstrations refer to.
 pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
-    match work(request, interrupt, bar)? {
+    match work(&ingest(request), interrupt, bar)? {
         Message::Models(names) => Ok(names),
         _ => {
             bail!("the worker process did not return the names of the models in {}", request.source.display(); "run again")
@@ -230,25 +315,32 @@ pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar
 
 /// Asks a worker for the hash of a LeRobot dataset.
 pub(super) fn hashed(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<(Key, LerobotFiles)> {
-    match work(request, interrupt, bar)? {
+    match work(&ingest(request), interrupt, bar)? {
         Message::Hashed(hash, files) => Ok((hash, files)),
         _ => bail!("the worker process did not return the hash of {}", request.source.display(); "run again"),
     }
 }
 
+fn ingest(request: &Request) -> Work {
+    Work::Ingest(Box::new(request.clone()))
+}
+
+/// Asks a worker to describe a dataset.
+pub(crate) fn described(question: Question, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Description> {
+    let source = question.source.clone();
+    match work(&Work::Describe(question), interrupt, bar)? {
+        Message::Described(description) => Ok(description),
+        _ => bail!("the worker process did not describe {}", source.display(); "run again"),
+    }
+}
+
 /// Runs a worker to its end. Returns its last message.
-fn work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
-    match try_to_work(request, interrupt, bar) {
+fn work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+    match (try_to_work(work, interrupt, bar), work.cautiously()) {
         // The crash may be the consequence of an earlier error in the file, after which reading went on. A second, cautious
         // worker stops at the first error, which is then reported.
-        Err(error) if error.is::<WorkerCrashed>() => {
-            let cautious = Request {
-                cautious: true,
-                ..request.clone()
-            };
-            try_to_work(&cautious, interrupt, bar)
-        }
-        worked => worked,
+        (Err(error), Some(cautious)) if error.is::<WorkerCrashed>() => try_to_work(&cautious, interrupt, bar),
+        (worked, _) => worked,
     }
 }
 
@@ -258,19 +350,20 @@ fn work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<M
 #[remedy(_0.remedy())]
 pub(crate) struct WorkerCrashed(Fault);
 
-fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
-    let refuse = |why: Fault| why.at(format!("cannot ingest {}: ", request.source.display()));
-    let (name, reader) = (request.format.name(), request.format.reader());
+fn try_to_work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+    let (reader, verb) = (work.reader(), work.verb());
+    let name = reader.reads();
+    let refuse = |why: Fault| why.at(format!("cannot {verb} {}: ", work.source().display()));
     let program = std::env::current_exe().with_context(|| {
         format!("cannot find the program's own file, which is needed to read {name} in a worker process")
     })?;
     let mut command = Command::new(program);
     command.arg(SUBCOMMAND);
-    if request.cautious {
+    if work.is_cautious() {
         // The gate of a test applies only to the first worker.
         command.env_remove(GATE_VARIABLE);
     }
-    if let Some(gl) = &request.gl {
+    if let Some(gl) = work.gl() {
         command.env("RE4_GL", gl);
         // Every rendering thread has its own process, so additional threads in Mesa would only compete with them.
         if std::env::var_os(MESA_THREADS).is_none() {
@@ -283,9 +376,9 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
         .stderr(Stdio::piped())
         .spawn()
         .or_fault(|| fault!("cannot start a worker process to read {name}"; "end other programs and run again"))?;
-    info!(process = child.id(), source = %request.source.display(), cautious = request.cautious, "worker started to read {name}");
+    info!(process = child.id(), source = %work.source().display(), cautious = work.is_cautious(), "worker started to read {name}");
     interrupt.set_worker(Some(child.id()));
-    let mut line = serde_json::to_vec(&Work::Ingest(Box::new(request.clone())))?;
+    let mut line = serde_json::to_vec(work)?;
     line.push(b'\n');
     let mut stdin = child.stdin.take();
     if let Some(stdin) = &mut stdin {
@@ -315,24 +408,26 @@ fn try_to_work(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> R
     info!(%status, "worker ended");
     match ended {
         // The artifact is published, even if the worker had to be killed afterwards.
-        Ended::Message(message @ (Message::Done | Message::Models(_) | Message::Hashed(..))) => return Ok(message),
+        Ended::Message(
+            message @ (Message::Done | Message::Models(_) | Message::Hashed(..) | Message::Described(_)),
+        ) => return Ok(message),
         Ended::Message(Message::Failed { what, remedy }) => {
-            interrupt.check("ingest")?;
+            interrupt.check(verb)?;
             return Err(Fault::new(what, remedy).into());
         }
         Ended::Silent => {
             return Err(refuse(fault!(
-                "{reader} made no progress for {} s, so the file may be damaged or its disk may not respond",
-                patience.as_secs();
+                "{} made no progress for {} s, so the file may be damaged or its disk may not respond",
+                reader.name(), patience.as_secs();
                 "copy the file to a local disk or download it again"
             ))
             .into());
         }
         // Ctrl-C in a terminal reaches the worker, too.
-        Ended::Interrupted | Ended::Message(_) | Ended::Gone => interrupt.check("ingest")?,
+        Ended::Interrupted | Ended::Message(_) | Ended::Gone => interrupt.check(verb)?,
     }
     let stderr = stderr.join().unwrap_or_default();
-    let refusal = refuse(how_it_ended(&request.format, status, &stderr));
+    let refusal = refuse(how_it_ended(reader, status, &stderr));
     Err(match status.signal() {
         Some(SIGABRT | SIGBUS | SIGSEGV) => WorkerCrashed(refusal).into(),
         _ => refusal.into(),
@@ -424,12 +519,12 @@ fn end(child: &mut Child) -> std::io::Result<ExitStatus> {
 }
 
 /// The error for a worker that ended without a last message.
-fn how_it_ended(format: &Format, status: ExitStatus, stderr: &str) -> Fault {
+fn how_it_ended(reader: Reader, status: ExitStatus, stderr: &str) -> Fault {
     // The message that Rust prints when an allocation fails, here because of the memory limit.
     if stderr.contains("memory allocation of") {
         return fault!(
             "reading it needs more than {} GiB of memory, so it is damaged or {}",
-            MEMORY >> 30, format.usual();
+            MEMORY >> 30, reader.too_large();
             "copy or download it again, or ingest fewer demonstrations with ingest.select"
         );
     }
@@ -444,7 +539,7 @@ fn how_it_ended(format: &Format, status: ExitStatus, stderr: &str) -> Fault {
             fault!("the worker process exceeded the file size limit (signal 25)"; "raise the limit (ulimit -f) and run again")
         }
         (Some(signal), _) => fault!(
-            "{} crashed (signal {signal}), so the file is damaged", format.reader();
+            "{} crashed (signal {signal}), so the file is damaged", reader.name();
             "copy or download it again"
         ),
         (None, code) => {

@@ -1,0 +1,81 @@
+//! What a dataset is, and what can be done with it.
+
+use serde::{Deserialize, Serialize};
+
+/// A description of a dataset for people and for programs.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Description {
+    /// The format and its version.
+    pub format: String,
+    /// Its properties, in order.
+    pub facts: Vec<Fact>,
+    /// The task of a pipeline file for it; `None` if no task fits.
+    pub task: Option<String>,
+    /// What can be done with it.
+    pub uses: Vec<Use>,
+    /// What is unusual about it, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// A property.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fact {
+    /// Its name, one word.
+    pub name: String,
+    /// Its value.
+    pub value: String,
+}
+
+/// A command, and whether it can use the dataset.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Use {
+    /// The command.
+    pub command: String,
+    /// Whether it can.
+    pub possible: bool,
+    /// With which settings, or what is missing.
+    pub how: String,
+}
+
+/// Stages in the order of a pipeline.
+const COMMANDS: [&str; 4] = ["audit", "segment", "index", "rollout"];
+
+impl Description {
+    /// Adds a property.
+    pub(crate) fn fact(&mut self, name: &str, value: impl Into<String>) {
+        self.facts.push(Fact {
+            name: name.to_owned(),
+            value: value.into(),
+        });
+    }
+
+    /// Adds a command that can be used.
+    pub(crate) fn can(&mut self, command: &str, how: impl Into<String>) {
+        self.set(command, true, how.into());
+    }
+
+    /// Adds commands that need what is missing.
+    pub(crate) fn cannot(&mut self, commands: &[&str], missing: &str) {
+        for command in commands {
+            self.set(command, false, missing.to_owned());
+        }
+    }
+
+    /// Adds that nothing can be done.
+    pub(crate) fn cannot_be_used(&mut self, missing: &str) {
+        self.cannot(&COMMANDS, missing);
+    }
+
+    fn set(&mut self, command: &str, possible: bool, how: String) {
+        self.uses.push(Use {
+            command: command.to_owned(),
+            possible,
+            how,
+        });
+    }
+}
+
+/// `1 camera`, `2 cameras`.
+pub(crate) fn counted(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
