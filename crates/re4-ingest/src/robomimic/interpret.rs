@@ -452,7 +452,7 @@ fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Faul
     }
     if env.robots.len() > 1 {
         return Err(Hdf5Fault::Other(format!(
-            "its environment {} has {} robots, but only tasks with one arm and a two-finger gripper are supported; give a file of such a task",
+            "its environment {} has {} robots, but only tasks with one arm and a two-finger gripper are supported; give a file of such a task, or audit one arm of it with task = \"arm\" and ingest.arm.arm",
             env.env_name,
             env.robots.len()
         )));
@@ -470,7 +470,7 @@ fn check_task(env: &EnvArgs, task: Option<RobosuiteTask>) -> Result<(), Hdf5Faul
 fn no_object(demo: &Demo) -> Hdf5Fault {
     Hdf5Fault::Missing {
         objects: vec![format!("data/{}/obs/object", demo.name)],
-        fix: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
+        fix: "restore it, take the object's pose from the states with task = \"robosuite\" and ingest.object, or audit the file without an object with task = \"arm\"",
     }
 }
 

@@ -3,6 +3,7 @@
 //! A file has a group `/data` with one group per demonstration (`demo_0`, `demo_1`, ...), and optionally a group `/mask` with
 //! lists of their names. Values are returned bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
 
+mod arm;
 mod demo;
 mod direct;
 mod fault;
@@ -20,6 +21,7 @@ mod sources;
 mod summary;
 mod survey;
 
+pub use arm::{ArmConfig, ArmSource};
 pub use demo::Demo;
 pub use fault::Hdf5Fault;
 pub use file::Access;

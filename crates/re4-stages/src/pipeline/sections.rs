@@ -7,6 +7,7 @@ use re4_encoder::EncoderConfig;
 use re4_geometry::Pose2;
 use re4_index::trim::Trim;
 use re4_ingest::pusht::PushtConventions;
+use re4_ingest::robomimic::ArmConfig;
 use re4_ingest::{OnBad, Selection};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_sim::GOAL;
@@ -43,6 +44,9 @@ pub struct IngestSection {
     /// Push-T: units and conventions of the dataset if they differ from those of the original dataset.
     #[serde(default, skip_serializing_if = "PushtConventions::is_default")]
     pub pusht: PushtConventions,
+    /// Task `arm`: which arrays of the dataset are read.
+    #[serde(default, skip_serializing_if = "ArmConfig::is_default")]
+    pub arm: ArmConfig,
     /// Whether to ingest the images.
     #[serde(default = "yes")]
     pub images: bool,
