@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Compares the modes of demonstrations with the true grasps, for every rule of segmentation.
 
-    benches/audit_modes.py RE4_PIPE PIPELINE.toml SOURCE.hdf5 TRUTH.json
+    benches/audit_modes.py RE4_PIPE PIPELINE.toml SOURCE.hdf5 TRUTH.json [RULE...]
 
 TRUTH.json maps demonstrations to `grasp`, which is 1 in the frames in which both fingers touch the object. Prints the F1 score of
 transfer against `grasp` over the frames of all demonstrations that the dataset keeps, and how far the first transfer frame is from
-the first true grasp. Needs polars.
+the first true grasp. RULE is a rule of segment.rule; default: those of robosuite's tasks. For the task arm, give gripper. Needs polars.
 """
 
 import json
@@ -14,7 +14,7 @@ import sys
 
 import polars as pl
 
-pipe, pipeline, source, truth = sys.argv[1:]
+pipe, pipeline, source, truth, *rules = sys.argv[1:]
 truth = json.load(open(truth))
 
 
@@ -26,7 +26,7 @@ def run(command, rule):
 
 
 print(f"{'rule':16} {'F1':>6} {'precision':>9} {'recall':>7}  demonstrations whose first transfer frame is within 1 / 3 / 10 of the grasp")
-for rule in ("gripper_command", "grasp", "evidence", "rigid_motion"):
+for rule in rules or ("gripper_command", "grasp", "evidence", "rigid_motion"):
     episodes = run("ingest", rule)["artifact"]
     modes = pl.read_parquet(f"{run('segment', rule)['artifact']}/modes.parquet")
     names = pl.read_parquet(f"{episodes}/demos.parquet")["demo"].to_list()

@@ -7,6 +7,7 @@
 )]
 
 mod architecture;
+mod arm;
 mod audit;
 mod audit_page;
 mod bad_input;

@@ -305,6 +305,7 @@ impl Builder {
             findings: self.findings,
             segments: self.segments,
             grasps: self.grasps,
+            object: true,
             outline: None,
             contacts: None,
             conventions: vec![Convention {

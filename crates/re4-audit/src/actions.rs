@@ -4,13 +4,15 @@ use nalgebra::Vector3;
 use re4_episode::SpatialFrame;
 
 use crate::common::Sink;
+use crate::rows::{Rows, norm};
 use crate::runs::runs;
 use crate::thresholds::Usual;
 
 /// Lags, in frames, at which steps are compared with actions: from -LAGS to LAGS.
 const LAGS: isize = 4;
 
-/// Minimum number of steps, and minimum length of their path in m, from which lag and gain are measured.
+/// Minimum number of steps, and minimum length of their path in m (of joints: in ranges of the dataset), from which lag and gain are
+/// measured.
 const MINIMUM_STEPS: usize = 20;
 const MINIMUM_PATH: f64 = 0.05;
 
@@ -21,7 +23,7 @@ const JUMP: f64 = 2.0;
 const MINIMUM_PART: f64 = 0.05;
 
 /// How the end effector's steps follow the translation of the actions.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ActionFit {
     /// Lag of the largest correlation between changes of steps and changes of actions in frames, between whole frames by a
     /// parabola; 0 if step t follows action t at once. Changes have a sharper correlation than the smooth steps themselves. `None`
@@ -32,41 +34,47 @@ pub struct ActionFit {
     /// Correlation of steps and actions at that lag, with its sign.
     pub correlation: f64,
     /// Correlation along each axis at lag 1, to which responses of a step or less contribute; `None` for an axis without motion.
-    axes: [Option<f64>; 3],
+    axes: Vec<Option<f64>>,
 }
 
 impl ActionFit {
-    /// Measures the response of a demonstration; `None` if the end effector hardly moves. Steps that are exactly 0 or much longer
-    /// than the others do not count: they are faults of the recorded poses.
+    /// Measures the response of a demonstration with a gripper; see [`ActionFit::between`].
     pub(crate) fn of(frames: &[SpatialFrame]) -> Option<Self> {
-        let steps: Vec<Vector3<f64>> = frames
+        let positions = frames
             .iter()
-            .zip(frames.iter().skip(1))
-            .map(|(now, next)| next.eef.translation.vector - now.eef.translation.vector)
-            .collect();
-        let lengths = re4_stats::sorted(steps.iter().map(Vector3::norm));
+            .flat_map(|frame| <[f64; 3]>::from(frame.eef.translation.vector));
+        let actions = frames.iter().flat_map(|frame| frame.delta[..3].iter().copied());
+        Self::between(&Rows::new(3, positions).steps(), &Rows::new(3, actions))
+    }
+
+    /// Measures how the steps of an arm follow its actions; `None` if it hardly moves. Steps that are exactly 0 or much longer than
+    /// the others do not count: they are faults of the recording.
+    pub(crate) fn between(steps: &Rows, actions: &Rows) -> Option<Self> {
+        let norms: Vec<f64> = steps.iter().map(norm).collect();
+        let lengths = re4_stats::sorted(norms.iter().copied());
         let longest = JUMP * re4_stats::quantile(&lengths, 0.9)?;
-        let counted = |step: &Vector3<f64>| step.norm() > 0.0 && step.norm() <= longest;
-        let path: f64 = steps.iter().filter(|step| counted(step)).map(Vector3::norm).sum();
-        if steps.iter().filter(|step| counted(step)).count() < MINIMUM_STEPS || path < MINIMUM_PATH {
+        let valid: Vec<bool> = norms.iter().map(|&step| step > 0.0 && step <= longest).collect();
+        let counted = || {
+            norms
+                .iter()
+                .zip(&valid)
+                .filter(|(_, valid)| **valid)
+                .map(|(norm, _)| norm)
+        };
+        let path: f64 = counted().sum();
+        if counted().count() < MINIMUM_STEPS || path < MINIMUM_PATH {
             return None;
         }
-        let actions: Vec<Vector3<f64>> = frames
-            .iter()
-            .map(|frame| Vector3::from_column_slice(&frame.delta[..3]))
-            .collect();
-        let valid: Vec<bool> = steps.iter().map(counted).collect();
-        let plain = Lagged::of(&steps, &actions, &valid);
-        let changes = |values: &[Vector3<f64>]| values.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>();
+        let plain = Lagged::of(steps, actions, &valid);
         let both_valid: Vec<bool> = valid.windows(2).map(|pair| pair[0] && pair[1]).collect();
-        let changed = Lagged::of(&changes(&steps), &changes(&actions), &both_valid);
+        let changed = Lagged::of(&steps.steps(), &actions.steps(), &both_valid);
         let (best, sharpest) = (plain.best()?, changed.best()?);
         let one = plain.0.get((LAGS + 1) as usize)?;
         Some(Self {
             lag: (changed.correlation(sharpest).powi(2) >= EXPLAINED).then(|| changed.fine(sharpest)),
             gain: plain.0[best].gain(),
             correlation: plain.correlation(best),
-            axes: std::array::from_fn(|axis| one.axis(axis)),
+            axes: (0..steps.width()).map(|axis| one.axis(axis)).collect(),
         })
     }
 
@@ -93,9 +101,9 @@ const EXPLAINED: f64 = 0.25;
 struct Lagged(Vec<Sums>);
 
 impl Lagged {
-    fn of(steps: &[Vector3<f64>], actions: &[Vector3<f64>], valid: &[bool]) -> Self {
+    fn of(steps: &Rows, actions: &Rows, valid: &[bool]) -> Self {
         let at = |lag: isize| {
-            let mut sums = Sums::default();
+            let mut sums = Sums::new(steps.width());
             for (place, (step, _)) in steps.iter().zip(valid).enumerate().filter(|(_, (_, valid))| **valid) {
                 let action = place.checked_add_signed(-lag).and_then(|place| actions.get(place));
                 if let Some(action) = action {
@@ -135,24 +143,33 @@ impl Lagged {
 }
 
 /// Sums over the pairs of steps and actions at one lag, axis by axis.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone)]
 struct Sums {
-    steps: [f64; 3],
-    actions: [f64; 3],
-    both: [f64; 3],
+    steps: Vec<f64>,
+    actions: Vec<f64>,
+    both: Vec<f64>,
 }
 
 impl Sums {
-    fn add(&mut self, step: &Vector3<f64>, action: &Vector3<f64>) {
-        for axis in 0..3 {
-            self.steps[axis] += step[axis] * step[axis];
-            self.actions[axis] += action[axis] * action[axis];
-            self.both[axis] += step[axis] * action[axis];
+    fn new(width: usize) -> Self {
+        let zeros = || vec![0.0; width];
+        Self {
+            steps: zeros(),
+            actions: zeros(),
+            both: zeros(),
+        }
+    }
+
+    fn add(&mut self, step: &[f64], action: &[f64]) {
+        for (axis, (step, action)) in step.iter().zip(action).enumerate() {
+            self.steps[axis] += step * step;
+            self.actions[axis] += action * action;
+            self.both[axis] += step * action;
         }
     }
 
     fn correlation(&self) -> f64 {
-        let total = |sums: &[f64; 3]| sums.iter().sum::<f64>();
+        let total = |sums: &[f64]| sums.iter().sum::<f64>();
         let scale = (total(&self.steps) * total(&self.actions)).sqrt();
         if scale > 0.0 { total(&self.both) / scale } else { 0.0 }
     }
@@ -173,34 +190,50 @@ impl Sums {
     }
 }
 
-/// The fraction of the fingers' travel that goes against the last gripper command; `None` if the fingers travel by less than a
-/// quarter of their opening.
-pub(crate) fn against_command(frames: &[SpatialFrame]) -> Option<f64> {
+/// The fraction of the fingers' travel that goes against the last gripper command; `None` if the fingers travel by less than `least`.
+pub(crate) fn against_command(separation: &[f64], closes: &[bool], least: f64) -> Option<f64> {
     let (mut against, mut all) = (0.0, 0.0);
-    for (before, (now, next)) in frames.iter().zip(frames.iter().skip(1).zip(frames.iter().skip(2))) {
-        let change = next.finger_separation() - now.finger_separation();
+    let steps = separation.iter().skip(1).zip(separation.iter().skip(2));
+    for ((now, next), commands) in steps.zip(closes.windows(2)) {
+        let change = next - now;
         // The first step after a change of the command still has the old direction.
-        if before.closes() != now.closes() {
+        if commands[0] != commands[1] {
             continue;
         }
         all += change.abs();
-        if (change > 0.0) == now.closes() {
+        if (change > 0.0) == commands[1] {
             against += change.abs();
         }
     }
-    (all >= 0.02).then(|| against / all)
+    (all >= least).then(|| against / all)
+}
+
+/// Smallest travel of the fingers, in m, from which the sign of their command is judged: a quarter of the opening.
+pub(crate) const LEAST_TRAVEL: f64 = 0.02;
+
+/// What the actions of a demonstration are compared with.
+pub(crate) struct Response<'a> {
+    pub(crate) frames: usize,
+    pub(crate) fit: Option<&'a ActionFit>,
+    /// The fraction of the fingers' travel that goes against the command.
+    pub(crate) against: Option<f64>,
+    /// What moves, as the subject of a sentence.
+    pub(crate) arm: &'static str,
+    /// Names of the axes of steps and actions.
+    pub(crate) axes: &'a [&'a str],
 }
 
 /// Compares the actions with the motion, and both with those of the other demonstrations.
-pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[SpatialFrame], sink: &mut Sink<'_>) {
-    let all = 0..frames.len();
+pub(crate) fn check_actions_and_motion(response: &Response<'_>, sink: &mut Sink<'_>) {
+    let Response { fit, arm, .. } = *response;
+    let all = 0..response.frames;
     let mut reversed = false;
     if let (Some(fit), Some(usual)) = (fit, sink.thresholds.usual_response) {
         // If the rows are reversed, the step that followed an action by `lag` precedes it by one more.
         let backwards = |lag: f64| (lag + 1.0 + usual.lag).abs() < (lag - usual.lag).abs();
         reversed = fit.lag.is_some_and(backwards) && -fit.correlation > sink.thresholds.over("reversed");
         let opposed = |axis: &usize| fit.axes[*axis].is_some_and(|c| -c > sink.thresholds.over("actions_opposed"));
-        let axes: Vec<usize> = (0..3).filter(opposed).collect();
+        let axes: Vec<usize> = (0..fit.axes.len()).filter(opposed).collect();
         if reversed {
             sink.add(
                 "reversed",
@@ -212,15 +245,13 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
                 ),
             );
         } else if let Some(&axis) = axes.first() {
-            let names: Vec<&str> = axes.iter().map(|&axis| ["x", "y", "z"][axis]).collect();
+            let name = |axis: &usize| response.axes.get(*axis).copied().unwrap_or_default();
+            let names: Vec<&str> = axes.iter().map(name).collect();
             sink.add(
                 "actions_opposed",
                 all.clone(),
                 fit.axes[axis].map(|correlation| -correlation),
-                format!(
-                    "along {}, the end effector moves opposite to its actions",
-                    names.join(" and ")
-                ),
+                format!("along {}, {arm} moves opposite to its actions", names.join(" and ")),
             );
         } else {
             let unrelated = 1.0 - fit.correlation.powi(2) > sink.thresholds.over("actions_unrelated");
@@ -229,12 +260,12 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
             for (code, value) in fit.values(&usual).filter(|(code, _)| meaningful(code)) {
                 sink.exceeding(code, all.clone(), value, |value| match code {
                     "actions_shifted" => format!(
-                        "the end effector follows changes of its actions after {:.2} frames; the median of the demonstrations is {:.2}",
+                        "{arm} follows changes of its actions after {:.2} frames; the median of the demonstrations is {:.2}",
                         fit.lag.unwrap_or_default(),
                         usual.lag
                     ),
                     "actions_scaled" => format!(
-                        "the end effector moves {:.2} times as far for the same action as in the other demonstrations",
+                        "{arm} moves {:.2} times as far for the same action as in the other demonstrations",
                         fit.scale(&usual)
                     ),
                     _ => format!("the actions do not explain {:.0} % of the end effector's motion", 1e2 * value),
@@ -242,7 +273,7 @@ pub(crate) fn check_actions_and_motion(fit: Option<&ActionFit>, frames: &[Spatia
             }
         }
     }
-    if let Some(against) = against_command(frames).filter(|_| !reversed) {
+    if let Some(against) = response.against.filter(|_| !reversed) {
         sink.exceeding("gripper_reversed", all, against, |value| {
             format!(
                 "{:.0} % of the fingers' travel goes against the gripper command",
@@ -270,18 +301,22 @@ pub(crate) fn is_idle(frame: &SpatialFrame) -> bool {
     Vector3::new(x, y, z).norm() < IDLE && Vector3::new(rx, ry, rz).norm() < IDLE
 }
 
-/// Reports idle stretches and controls at their limits.
-pub(crate) fn check_commands(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
-    for run in runs(frames.iter().map(is_idle), 1) {
+/// Reports idle stretches, and fractions of the frames with one control and with two controls at their limits.
+pub(crate) fn check_commands(idle: &[bool], saturated: [f64; 2], sink: &mut Sink<'_>) {
+    for run in runs(idle.iter().copied(), 1) {
         sink.exceeding("idle", run.clone(), run.len() as f64, |value| {
             format!("hardly any arm action in {value} consecutive frames")
         });
     }
-    for (code, least, what) in [
-        ("saturated", 1, "a control is at its limit"),
-        ("saturated_together", 2, "two or more controls are at their limits"),
+    for (code, fraction, what) in [
+        ("saturated", saturated[0], "a control is at its limit"),
+        (
+            "saturated_together",
+            saturated[1],
+            "two or more controls are at their limits",
+        ),
     ] {
-        sink.exceeding(code, 0..frames.len(), saturated_fraction(frames, least), |value| {
+        sink.exceeding(code, 0..idle.len(), fraction, |value| {
             format!("{what} in {:.0} % of the frames", 1e2 * value)
         });
     }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use crate::finding::Severity;
 use crate::list::CHECKS;
+use re4_task::Domain;
 
 /// A check: one kind of finding with one threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +15,8 @@ pub struct Check {
     pub severity: Severity,
     /// The demonstrations that it applies to.
     pub applies: Applies,
+    /// What it needs of a dataset of the task `arm`. Other datasets have everything that their checks need.
+    pub needs: &'static [Need],
     /// What a finding means, and what to do about it.
     pub meaning: &'static str,
     /// What is measured.
@@ -35,6 +38,79 @@ pub enum Applies {
     Gripper,
     /// Demonstrations of Push-T.
     Planar,
+    /// Demonstrations of the task `arm`.
+    Arm,
+}
+
+/// What a check needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Need {
+    /// The pose of the manipulated object.
+    Object,
+    /// The motion of the arm: the position of the end effector, or joints.
+    Arm,
+    /// The position of the end effector.
+    Eef,
+    /// The orientation of the end effector.
+    Orientation,
+    /// Actions.
+    Actions,
+    /// Actions that command a displacement and reach a limit.
+    Limits,
+    /// A gripper, by its opening or its command, which the rule of segmentation reads.
+    Gripper,
+    /// The measured opening of the gripper.
+    Opening,
+    /// The opening of the shut gripper.
+    Shut,
+    /// A gripper command that is known to move the gripper.
+    Command,
+    /// Rewards.
+    Reward,
+    /// Recorded times.
+    Times,
+    /// Elements of the state with a known role.
+    Signals,
+}
+
+impl Need {
+    /// Why a check is not made on a dataset without it.
+    pub fn lacking(self) -> &'static str {
+        match self {
+            Self::Object => "the dataset has no pose of an object",
+            Self::Arm => "the dataset has neither a position of the end effector nor joint positions",
+            Self::Eef => "the dataset has no position of the end effector",
+            Self::Orientation => "the dataset has no orientation of the end effector",
+            Self::Actions => "no elements of the actions are known to command the motion of the arm",
+            Self::Limits => "the actions are not displacements with a limit that several frames reach",
+            Self::Gripper => "the rule of segmentation does not read a gripper",
+            Self::Opening => "the opening of the gripper was not recorded",
+            Self::Shut => "the opening of the shut gripper is not known (segment.opening.shut)",
+            Self::Command => "no command is known to move the gripper",
+            Self::Reward => "the dataset has no rewards",
+            Self::Times => "the dataset has no times of frames",
+            Self::Signals => "no elements of the state have a known role",
+        }
+    }
+
+    /// Its name in the documentation.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Object => "object pose",
+            Self::Arm => "end effector or joints",
+            Self::Eef => "end-effector position",
+            Self::Orientation => "end-effector orientation",
+            Self::Actions => "actions",
+            Self::Limits => "actions with limits",
+            Self::Gripper => "gripper",
+            Self::Opening => "gripper opening",
+            Self::Shut => "shut opening",
+            Self::Command => "gripper command",
+            Self::Reward => "rewards",
+            Self::Times => "times",
+            Self::Signals => "state",
+        }
+    }
 }
 
 /// How a threshold is determined unless the pipeline file sets it.
@@ -111,24 +187,30 @@ pub(crate) fn find(code: &str) -> Option<&'static Check> {
 }
 
 impl Check {
-    /// Whether the check applies to Push-T (`planar`) or to demonstrations with a gripper (otherwise).
-    pub fn applies_to(&self, planar: bool) -> bool {
+    /// Whether the check applies to the demonstrations of a kind of task.
+    pub fn applies_to(&self, domain: Domain) -> bool {
         match self.applies {
             Applies::Everywhere => true,
-            Applies::Gripper => !planar,
-            Applies::Planar => planar,
+            Applies::Gripper => domain != Domain::Plane,
+            Applies::Planar => domain == Domain::Plane,
+            Applies::Arm => domain == Domain::Arm,
         }
     }
 
-    /// Unit of the measure and of the threshold, for Push-T (`planar`) or for robosuite's tasks; empty if they have none.
-    pub fn unit_of(&self, planar: bool) -> &'static str {
-        if planar { self.planar_unit } else { self.unit }
+    /// Unit of the measure and of the threshold, for a kind of task; empty if they have none.
+    pub fn unit_of(&self, domain: Domain) -> &'static str {
+        match domain {
+            Domain::Plane => self.planar_unit,
+            // Openings are fractions of the travel.
+            Domain::Arm if self.needs.contains(&Need::Opening) && self.unit == "m" => "",
+            Domain::Space | Domain::Arm => self.unit,
+        }
     }
 
     /// Describes how the threshold is determined.
     pub fn rule(&self) -> String {
         let both = |spatial: f64, planar: f64| match self.applies {
-            Applies::Gripper => with_unit(spatial, self.unit),
+            Applies::Gripper | Applies::Arm => with_unit(spatial, self.unit),
             Applies::Planar => with_unit(planar, self.planar_unit),
             Applies::Everywhere if spatial == planar && self.unit == self.planar_unit => with_unit(spatial, self.unit),
             Applies::Everywhere => format!(
@@ -203,18 +285,22 @@ fn with_unit(value: f64, unit: &str) -> String {
 /// Returns all checks as a Markdown table, for the documentation.
 pub fn markdown() -> String {
     let mut text =
-        "| code | severity | on | what it means | measure | threshold |\n|---|---|---|---|---|---|\n".to_owned();
+        "| code | severity | on | needs | what it means | measure | threshold |\n|---|---|---|---|---|---|---|\n"
+            .to_owned();
     for check in CHECKS {
         let on = match check.applies {
             Applies::Everywhere => "all",
-            Applies::Gripper => "robosuite",
+            Applies::Gripper => "robosuite, arm",
             Applies::Planar => "Push-T",
+            Applies::Arm => "arm",
         };
+        let needs: Vec<&str> = check.needs.iter().map(|need| need.name()).collect();
         let _ = writeln!(
             text,
-            "| `{}` | {} | {on} | {} | {} | {} |",
+            "| `{}` | {} | {on} | {} | {} | {} | {} |",
             check.code,
             check.severity.as_str(),
+            needs.join(", "),
             check.meaning,
             check.measure,
             check.rule()

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use re4_episode::Segment;
+use re4_task::Domain;
 
 use crate::checks::find;
 use crate::finding::{Finding, Severity};
@@ -29,6 +30,10 @@ impl<'a> Sink<'a> {
 
     /// Adds a finding of a check, with the severity, the unit and the threshold of that check.
     pub(crate) fn add(&mut self, code: &'static str, frames: Range<usize>, value: Option<f64>, message: String) {
+        // A check that an arm's dataset does not allow may still have measured something.
+        if self.thresholds.domain() == Domain::Arm && !self.thresholds.made(code) {
+            return;
+        }
         let check = find(code);
         self.findings.push(Finding {
             severity: check.map_or(Severity::Note, |check| check.severity),
@@ -38,7 +43,7 @@ impl<'a> Sink<'a> {
             frames: frames.start as u32..frames.end as u32,
             value,
             threshold: self.thresholds.value(code),
-            unit: check.map_or("", |check| check.unit_of(self.thresholds.planar())),
+            unit: check.map_or("", |check| check.unit_of(self.thresholds.domain())),
             message,
             other: None,
             other_demo: None,

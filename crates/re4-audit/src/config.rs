@@ -114,6 +114,12 @@ pub struct AuditConfig {
     /// Threshold of the check `swapped_object`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub swapped_object: Option<f64>,
+    /// Threshold of the check `frozen_signal`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frozen_signal: Option<f64>,
+    /// Threshold of the check `timestamps`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub timestamps: Option<f64>,
     /// Threshold of the check `time_gap`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_gap: Option<f64>,
@@ -157,6 +163,8 @@ impl AuditConfig {
             "saturated_together" => self.saturated_together,
             "success_lost" => self.success_lost,
             "swapped_object" => self.swapped_object,
+            "frozen_signal" => self.frozen_signal,
+            "timestamps" => self.timestamps,
             "time_gap" => self.time_gap,
             _ => None,
         }

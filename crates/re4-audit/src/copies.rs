@@ -13,6 +13,7 @@ use crate::checks::SAMPLE;
 use crate::common::Sink;
 use crate::finding::Finding;
 use crate::thresholds::{Observation, Thresholds};
+use re4_task::Domain;
 
 /// Number of points of a resampled path.
 const POINTS: usize = 24;
@@ -112,10 +113,11 @@ pub fn audit_copies(observations: &[Observation], thresholds: &Thresholds) -> Ve
                 other.demo,
                 observation.frames,
                 other.frames,
-                if thresholds.planar() {
-                    format!("{distance:.2} px")
-                } else {
-                    format!("{:.2} mm", 1e3 * distance)
+                match thresholds.domain() {
+                    Domain::Plane => format!("{distance:.2} px"),
+                    Domain::Arm if !thresholds.made("discontinuity_eef") =>
+                        format!("{:.2} % of the range of a joint", 1e2 * distance),
+                    Domain::Space | Domain::Arm => format!("{:.2} mm", 1e3 * distance),
                 }
             );
             sink.add("near_duplicate", all, Some(distance), message);

@@ -88,6 +88,47 @@ pub struct GraspLimits {
     pub frozen: usize,
     /// An object pose that jumps further than this, in m, from fingers that keep their distance is that of another object.
     pub swapped: f64,
+    /// Unit of distances between fingers.
+    pub fingers: FingerUnit,
+}
+
+/// Unit of the distances between fingers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FingerUnit {
+    /// Metres.
+    #[default]
+    Metres,
+    /// The full travel of the gripper.
+    Travel,
+}
+
+/// Distance between the fingers of the simulated gripper when it is open, in m.
+const SIMULATED: f64 = 0.08;
+
+impl FingerUnit {
+    /// A distance of the simulated gripper in this unit.
+    pub(crate) fn of(self, metres: f64) -> f64 {
+        match self {
+            Self::Metres => metres,
+            Self::Travel => metres / SIMULATED,
+        }
+    }
+
+    /// A distance in words.
+    pub(crate) fn size(self, value: f64, digits: usize) -> String {
+        match self {
+            Self::Metres => format!("{:.digits$} mm", 1e3 * value),
+            Self::Travel => format!("{:.0} % of their travel", 1e2 * value),
+        }
+    }
+
+    /// The distance between the fingers in words.
+    pub(crate) fn apart(self, value: f64, digits: usize) -> String {
+        match self {
+            Self::Metres => format!("{} apart", self.size(value, digits)),
+            Self::Travel => format!("open to {}", self.size(value, digits)),
+        }
+    }
 }
 
 /// Judges every transfer segment of a demonstration, in order of time.

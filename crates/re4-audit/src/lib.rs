@@ -7,6 +7,8 @@
 //! pass. Demonstrations can be dropped from memory between the passes.
 
 mod actions;
+mod arm;
+mod arm_facts;
 mod checks;
 mod common;
 mod config;
@@ -17,19 +19,22 @@ mod list;
 mod motion;
 mod object;
 mod planar;
+mod rows;
 mod runs;
 mod spatial;
 mod tables;
 mod thresholds;
 
 pub use actions::ActionFit;
-pub use checks::{Applies, Basis, Check, markdown};
+pub use arm::{ArmDemo, audit_arm, observe_arm};
+pub use arm_facts::{ArmFacts, ArmSurvey};
+pub use checks::{Applies, Basis, Check, Need, markdown};
 pub use config::{AuditConfig, AuditError};
 pub use copies::{Path, audit_copies};
 pub use finding::{Finding, Severity};
-pub use grasps::{GraspLimits, GraspOutcome, JudgedGrasp};
+pub use grasps::{FingerUnit, GraspLimits, GraspOutcome, JudgedGrasp};
 pub use list::CHECKS;
 pub use planar::{PlanarDemo, audit_planar, contact_and_motion, observe_planar};
 pub use spatial::{SpatialAudit, SpatialDemo, audit_spatial, observe_spatial};
 pub use tables::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow, RuleAgreementRow};
-pub use thresholds::{Observation, Origin, Threshold, Thresholds, Usual};
+pub use thresholds::{Dataset, Observation, Origin, Threshold, Thresholds, Usual};

@@ -1,13 +1,14 @@
 //! The list of all checks.
 
-use crate::checks::{Applies, Basis, Check};
+use crate::checks::{Applies, Basis, Check, Need};
 use crate::finding::Severity;
 
-const fn check(code: &'static str, severity: Severity, applies: Applies) -> Check {
+const fn check(code: &'static str, severity: Severity, applies: Applies, needs: &'static [Need]) -> Check {
     Check {
         code,
         severity,
         applies,
+        needs,
         meaning: "",
         measure: "",
         unit: "",
@@ -26,7 +27,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "a quarter of the motion is explained by opposite actions; in sound demonstrations, the correlation along every axis that moves is positive",
         },
-        ..check("actions_opposed", Severity::Error, Applies::Gripper)
+        ..check(
+            "actions_opposed",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Arm, Need::Actions],
+        )
     },
     Check {
         meaning: "The end effector moves further or less far for an action of the same size than in the other demonstrations: the actions were recorded in another unit or with other limits of the controller. Scale them, or leave the demonstration out.",
@@ -39,7 +45,12 @@ pub const CHECKS: &[Check] = &[
             small: false,
             most: 0.65,
         },
-        ..check("actions_scaled", Severity::Error, Applies::Gripper)
+        ..check(
+            "actions_scaled",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Arm, Need::Actions],
+        )
     },
     Check {
         meaning: "The end effector follows its actions later or earlier than in the other demonstrations, by about one step or more: actions and observations were recorded with another alignment. Shift the actions, or leave the demonstration out.",
@@ -53,7 +64,12 @@ pub const CHECKS: &[Check] = &[
             small: false,
             most: 0.9,
         },
-        ..check("actions_shifted", Severity::Error, Applies::Gripper)
+        ..check(
+            "actions_shifted",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Arm, Need::Actions],
+        )
     },
     Check {
         meaning: "The motion of the end effector is not that of its actions, unlike in the other demonstrations: something else moved the arm, or the actions belong to another demonstration.",
@@ -66,7 +82,12 @@ pub const CHECKS: &[Check] = &[
             small: false,
             most: 0.9,
         },
-        ..check("actions_unrelated", Severity::Warning, Applies::Gripper)
+        ..check(
+            "actions_unrelated",
+            Severity::Warning,
+            Applies::Gripper,
+            &[Need::Arm, Need::Actions],
+        )
     },
     Check {
         meaning: "The fingers do not follow the gripper command: they have had enough time to move, but have neither moved nor closed on anything. Command and mode then do not describe the gripper. Look for a stuck gripper or for commands with the opposite sign.",
@@ -77,7 +98,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "the full travel of the simulated fingers takes 8 control steps in robosuite 1.4 and 10 in 1.5, and the servo needs two more",
         },
-        ..check("command_fingers_disagree", Severity::Warning, Applies::Gripper)
+        ..check(
+            "command_fingers_disagree",
+            Severity::Warning,
+            Applies::Gripper,
+            &[Need::Opening, Need::Command],
+        )
     },
     Check {
         meaning: "The pusher touches the block, but the block does not move. A mode derived from contacts is wrong there; a mode derived from motion is not.",
@@ -88,7 +114,12 @@ pub const CHECKS: &[Check] = &[
             planar: 5.0,
             why: "half a second at Push-T's 10 Hz",
         },
-        ..check("contact_without_motion", Severity::Note, Applies::Planar)
+        ..check(
+            "contact_without_motion",
+            Severity::Note,
+            Applies::Planar,
+            &[Need::Object],
+        )
     },
     Check {
         meaning: "The end effector jumps between two consecutive frames: frames are missing, two demonstrations were joined, or poses are wrong. Split the demonstration at the jump or leave it out; a chunk that spans the jump cannot be replayed.",
@@ -101,7 +132,7 @@ pub const CHECKS: &[Check] = &[
             spatial: 0.03,
             planar: 60.0,
         },
-        ..check("discontinuity_eef", Severity::Error, Applies::Everywhere)
+        ..check("discontinuity_eef", Severity::Error, Applies::Everywhere, &[Need::Eef])
     },
     Check {
         meaning: "The object jumps between two consecutive frames, faster than it could fall: the poses of two objects were mixed up, or the scene was reset during the demonstration.",
@@ -113,7 +144,12 @@ pub const CHECKS: &[Check] = &[
             planar: 120.0,
             why: "robosuite: a free fall from half a meter ends at 3 m/s, which is 0.15 m in one step; Push-T: the length of the block's bar",
         },
-        ..check("discontinuity_object", Severity::Error, Applies::Everywhere)
+        ..check(
+            "discontinuity_object",
+            Severity::Error,
+            Applies::Everywhere,
+            &[Need::Object],
+        )
     },
     Check {
         meaning: "The end effector rotates further in one step than it physically can: frames are missing, or a part of the file uses another orientation convention.",
@@ -125,7 +161,12 @@ pub const CHECKS: &[Check] = &[
             spatial: 0.3,
             planar: 0.0,
         },
-        ..check("discontinuity_rotation", Severity::Error, Applies::Gripper)
+        ..check(
+            "discontinuity_rotation",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Orientation],
+        )
     },
     Check {
         meaning: "The object is let go in the air: it falls, and either it is grasped again or the demonstration ends without success. Cut the frames out, or leave the demonstration out.",
@@ -136,12 +177,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "half of a finger's travel: objects that are put down, or let go just above the surface for a second attempt, fall less",
         },
-        ..check("dropped", Severity::Warning, Applies::Gripper)
+        ..check("dropped", Severity::Warning, Applies::Gripper, &[Need::Object])
     },
     Check {
         meaning: "The demonstration is identical to an earlier one, bit for bit. It counts twice in training, and if one copy is used for validation, the validation is invalid. Leave one of them out.",
         measure: "Equality of all poses, finger positions and actions",
-        ..check("duplicate", Severity::Warning, Applies::Everywhere)
+        ..check("duplicate", Severity::Warning, Applies::Everywhere, &[])
     },
     Check {
         meaning: "The object is released far from where the demonstrations leave it. Either a second grasp or a failure follows; do not use this release as the goal of the task.",
@@ -155,7 +196,7 @@ pub const CHECKS: &[Check] = &[
             small: false,
             most: f64::INFINITY,
         },
-        ..check("early_release", Severity::Warning, Applies::Gripper)
+        ..check("early_release", Severity::Warning, Applies::Gripper, &[Need::Object])
     },
     Check {
         meaning: "The demonstration ends before the task's own success criterion is met. Replaying it to the end does not complete the task: the policy needs a way to continue from there.",
@@ -165,7 +206,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.95,
             why: "Push-T's own success threshold; in robosuite's tasks, any reward above 0 is a success",
         },
-        ..check("ends_before_success", Severity::Warning, Applies::Everywhere)
+        ..check(
+            "ends_before_success",
+            Severity::Warning,
+            Applies::Everywhere,
+            &[Need::Reward],
+        )
     },
     Check {
         meaning: "The mode changes and changes back before the gripper can react. Such segments are noise in the command: they split chunks and create anchors where nothing is grasped.",
@@ -177,7 +223,7 @@ pub const CHECKS: &[Check] = &[
             planar: 3.0,
             why: "the simulated gripper needs five control steps to release, or to clamp, an object half as wide as its opening",
         },
-        ..check("flicker", Severity::Warning, Applies::Everywhere)
+        ..check("flicker", Severity::Warning, Applies::Everywhere, &[Need::Gripper])
     },
     Check {
         meaning: "Nothing changes at all, bit for bit: the recorder repeated a state. Actions and states do not match there; cut these frames out.",
@@ -189,7 +235,7 @@ pub const CHECKS: &[Check] = &[
             planar: 5.0,
             why: "simulated joints are never exactly at rest; Push-T's pusher, which follows the mouse, can be for a moment",
         },
-        ..check("frozen", Severity::Warning, Applies::Everywhere)
+        ..check("frozen", Severity::Warning, Applies::Everywhere, &[])
     },
     Check {
         meaning: "The end effector's pose repeats, bit for bit, although it is commanded to move: its pose was not updated. Poses and actions do not match there; cut these frames out.",
@@ -200,7 +246,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "simulated joints are never exactly at rest",
         },
-        ..check("frozen_eef", Severity::Error, Applies::Gripper)
+        ..check(
+            "frozen_eef",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Eef, Need::Actions],
+        )
     },
     Check {
         meaning: "The object's pose repeats, bit for bit, while the closed fingers carry it: its pose was not updated, as when a tracker loses a covered object. The grasp is judged without these frames. Repair the poses, for example from the end effector's motion, or leave the demonstration out.",
@@ -211,7 +262,21 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "a carried object is never exactly at rest",
         },
-        ..check("frozen_object", Severity::Error, Applies::Gripper)
+        ..check("frozen_object", Severity::Error, Applies::Gripper, &[Need::Object])
+    },
+    Check {
+        meaning: "An element of the state repeats, bit for bit, while others of its kind move: a sensor was not read, or a cable was loose. States and actions do not match there; cut these frames out, or leave the demonstration out.",
+        measure: "Consecutive frames with exactly the same number in one element of the state, other than the gripper, while an element of the same role changes in every step",
+        unit: "frames",
+        basis: Basis::Fence {
+            of: "longest stretches (one per demonstration)",
+            whisker: 3.0,
+            spatial: 10.0,
+            planar: 0.0,
+            small: true,
+            most: f64::INFINITY,
+        },
+        ..check("frozen_signal", Severity::Warning, Applies::Arm, &[Need::Signals])
     },
     Check {
         meaning: "The fingers move opposite to the gripper commands of the whole demonstration: the command was recorded with the other sign. All modes of the demonstration are wrong; repair the sign, or leave the demonstration out.",
@@ -221,7 +286,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "most of the travel; fingers that obey go against the command only in the frames of a change",
         },
-        ..check("gripper_reversed", Severity::Error, Applies::Gripper)
+        ..check(
+            "gripper_reversed",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Opening, Need::Command],
+        )
     },
     Check {
         meaning: "The demonstrator waits. A policy learned from these frames may wait forever; skip them if your policy copies actions frame by frame.",
@@ -236,12 +306,12 @@ pub const CHECKS: &[Check] = &[
             small: true,
             most: f64::INFINITY,
         },
-        ..check("idle", Severity::Note, Applies::Everywhere)
+        ..check("idle", Severity::Note, Applies::Everywhere, &[Need::Actions])
     },
     Check {
         meaning: "The demonstration cannot be read, or contradicts the conventions that the other demonstrations establish. The rest of the audit does not include it. Repair it, or leave it out with ingest.select.",
         measure: "Whether ingest can use the demonstration",
-        ..check("left_out", Severity::Error, Applies::Everywhere)
+        ..check("left_out", Severity::Error, Applies::Everywhere, &[])
     },
     Check {
         meaning: "The object was held, and left the gripper while the command was still to close. The frames after the loss are labeled transfer although the gripper no longer carries the object: object poses derived from the end effector are wrong there. Leave the demonstration out, or cut it at the loss.",
@@ -252,14 +322,24 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "half of a finger's travel: an object that has moved this far in the gripper is no longer between the fingers",
         },
-        ..check("lost_grasp", Severity::Error, Applies::Gripper)
+        ..check(
+            "lost_grasp",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Opening, Need::Shut],
+        )
     },
     Check {
         meaning: "The gripper was commanded to close, but did not grasp the object: the fingers closed on nothing, or on something else, so that the object does not follow the end effector. The frames are labeled transfer, but this object is not carried. If this is the first transfer segment, the demonstration's anchor is wrong. Cut the attempt out or, if another object is carried, audit that object (ingest.object).",
         measure: "Smallest distance between the fingers, and whether the object follows the end effector",
         unit: "m",
         basis: Basis::ClosedFingers,
-        ..check("missed_grasp", Severity::Error, Applies::Gripper)
+        ..check(
+            "missed_grasp",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Opening, Need::Shut],
+        )
     },
     Check {
         meaning: "The block moves, but no contact was counted: the contact was lost within the control step, or the block is still sliding. A mode derived from contacts is wrong there.",
@@ -270,7 +350,12 @@ pub const CHECKS: &[Check] = &[
             planar: 3.0,
             why: "a contact lost within one control step shows in one or two frames",
         },
-        ..check("motion_without_contact", Severity::Note, Applies::Planar)
+        ..check(
+            "motion_without_contact",
+            Severity::Note,
+            Applies::Planar,
+            &[Need::Object],
+        )
     },
     Check {
         meaning: "The demonstration is almost the same as an earlier one: a copy with noise, or at another speed. It counts twice in training, and if one copy is used for validation, the validation is invalid. Leave one of them out.",
@@ -281,13 +366,13 @@ pub const CHECKS: &[Check] = &[
             spatial: 0.001,
             planar: 1.0,
         },
-        ..check("near_duplicate", Severity::Warning, Applies::Everywhere)
+        ..check("near_duplicate", Severity::Warning, Applies::Everywhere, &[Need::Arm])
     },
     Check {
         meaning: "No frame is in transfer: the gripper is never commanded to close. The demonstration has no grasp frame and no anchor; leave it out.",
         measure: "Number of transfer frames",
         unit: "frames",
-        ..check("no_transfer", Severity::Error, Applies::Gripper)
+        ..check("no_transfer", Severity::Error, Applies::Gripper, &[Need::Gripper])
     },
     Check {
         meaning: "The object rotates in the gripper further than in the other demonstrations: the grasp is not rigid in rotation, and object poses derived from the end effector are off by this angle.",
@@ -301,7 +386,7 @@ pub const CHECKS: &[Check] = &[
             small: true,
             most: f64::INFINITY,
         },
-        ..check("non_rigid_rotation", Severity::Note, Applies::Gripper)
+        ..check("non_rigid_rotation", Severity::Note, Applies::Gripper, &[Need::Object])
     },
     Check {
         meaning: "The object slips in the gripper further than in the other demonstrations, without being lost: transfer is not rigid there, and object poses derived from the end effector are off by this distance.",
@@ -315,7 +400,12 @@ pub const CHECKS: &[Check] = &[
             small: true,
             most: f64::INFINITY,
         },
-        ..check("non_rigid_transfer", Severity::Warning, Applies::Gripper)
+        ..check(
+            "non_rigid_transfer",
+            Severity::Warning,
+            Applies::Gripper,
+            &[Need::Object],
+        )
     },
     Check {
         meaning: "The demonstration is much longer or shorter than the others. This is often a sign of another problem; inspect the demonstration.",
@@ -325,7 +415,7 @@ pub const CHECKS: &[Check] = &[
             planar: 3.5,
             why: "the usual cutoff of the modified z-score",
         },
-        ..check("outlier_length", Severity::Note, Applies::Everywhere)
+        ..check("outlier_length", Severity::Note, Applies::Everywhere, &[])
     },
     Check {
         meaning: "The open gripper moves the object. The mode is transit, in which the object is assumed to rest until the grasp: before the push, the pose of the anchor relative to the object is wrong.",
@@ -336,7 +426,12 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "an eighth of the gripper's opening; a gripper that centers itself on the object moves it less",
         },
-        ..check("pushed_in_transit", Severity::Warning, Applies::Gripper)
+        ..check(
+            "pushed_in_transit",
+            Severity::Warning,
+            Applies::Gripper,
+            &[Need::Object],
+        )
     },
     Check {
         meaning: "The demonstration grasps more often than the others. Its anchor belongs to the first grasp only; do not train a policy that assumes one grasp and one transfer on it.",
@@ -347,7 +442,7 @@ pub const CHECKS: &[Check] = &[
             spatial: 1.0,
             planar: 0.0,
         },
-        ..check("regrasp", Severity::Warning, Applies::Gripper)
+        ..check("regrasp", Severity::Warning, Applies::Gripper, &[Need::Gripper])
     },
     Check {
         meaning: "The object is released from higher above its place of rest than in the other demonstrations. It may bounce, roll away or break.",
@@ -361,7 +456,7 @@ pub const CHECKS: &[Check] = &[
             small: false,
             most: f64::INFINITY,
         },
-        ..check("released_high", Severity::Warning, Applies::Gripper)
+        ..check("released_high", Severity::Warning, Applies::Gripper, &[Need::Object])
     },
     Check {
         meaning: "The gripper is commanded to open while the arm still moves sideways, faster than in the other demonstrations: the object is released on the way, and is thrown.",
@@ -375,7 +470,7 @@ pub const CHECKS: &[Check] = &[
             small: true,
             most: f64::INFINITY,
         },
-        ..check("released_moving", Severity::Warning, Applies::Gripper)
+        ..check("released_moving", Severity::Warning, Applies::Gripper, &[Need::Object])
     },
     Check {
         meaning: "The rows are in reverse order: the motion precedes the actions that would cause it, and is opposite to them. Reverse the rows of all arrays, or leave the demonstration out.",
@@ -385,12 +480,17 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "a quarter of the motion is explained by opposite actions",
         },
-        ..check("reversed", Severity::Error, Applies::Gripper)
+        ..check(
+            "reversed",
+            Severity::Error,
+            Applies::Gripper,
+            &[Need::Arm, Need::Actions],
+        )
     },
     Check {
         meaning: "The actions are the same as in an earlier demonstration, but the states differ: one of the two is a replay, or states and actions were mixed up.",
         measure: "Equality of all actions",
-        ..check("same_actions", Severity::Note, Applies::Everywhere)
+        ..check("same_actions", Severity::Note, Applies::Everywhere, &[Need::Actions])
     },
     Check {
         meaning: "The arm's controls are at their limits in an unusually large fraction of the demonstration: the demonstrator probably intended larger motions than the controls allow.",
@@ -399,7 +499,7 @@ pub const CHECKS: &[Check] = &[
             of: "fractions of saturated frames (one per demonstration)",
             minimum: 0.25,
         },
-        ..check("saturated", Severity::Warning, Applies::Gripper)
+        ..check("saturated", Severity::Warning, Applies::Gripper, &[Need::Limits])
     },
     Check {
         meaning: "Several of the arm's controls are at their limits at the same time in an unusually large fraction of the demonstration. The arm then moves in another direction than intended, because each control is clipped by itself.",
@@ -408,14 +508,19 @@ pub const CHECKS: &[Check] = &[
             of: "fractions (one per demonstration)",
             minimum: 0.05,
         },
-        ..check("saturated_together", Severity::Warning, Applies::Gripper)
+        ..check(
+            "saturated_together",
+            Severity::Warning,
+            Applies::Gripper,
+            &[Need::Limits],
+        )
     },
     Check {
         meaning: "The numbers jump although the motion does not: a quaternion changes its sign, the rotation vector of a goal passes pi, or an angle wraps around. Goals are checked only if absolute actions were recorded. Differences, means and distances of the raw numbers are wrong across such a step; use a continuous representation, or compare angles on the circle.",
         measure: "Number of steps across which the representation jumps",
         unit: "frames",
         planar_unit: "frames",
-        ..check("seam", Severity::Note, Applies::Everywhere)
+        ..check("seam", Severity::Note, Applies::Everywhere, &[Need::Orientation])
     },
     Check {
         meaning: "The demonstration succeeds, but its last frames do not: the success was lost again. Cut it after the success, or leave it out.",
@@ -426,7 +531,7 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "recordings end up to three frames after the last counted reward",
         },
-        ..check("success_lost", Severity::Warning, Applies::Gripper)
+        ..check("success_lost", Severity::Warning, Applies::Gripper, &[Need::Reward])
     },
     Check {
         meaning: "While the fingers keep their distance, the object's pose jumps away from them: it is the pose of another object, or was estimated wrongly. The grasp is judged without these frames.",
@@ -437,7 +542,7 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "in one step of 1/20 s, an object falls by 12 mm out of rest, and the end effector moves by at most 13 mm",
         },
-        ..check("swapped_object", Severity::Error, Applies::Gripper)
+        ..check("swapped_object", Severity::Error, Applies::Gripper, &[Need::Object])
     },
     Check {
         meaning: "In a single step, the arm moves much further than in the steps around it, and faster than it usually does: frames are missing, or the recording was interrupted. Split the demonstration there; a chunk that spans the gap cannot be replayed.",
@@ -447,6 +552,16 @@ pub const CHECKS: &[Check] = &[
             planar: 0.0,
             why: "an arm that exceeds its usual top speed by half does not do so for a single step, because it has to accelerate and to brake",
         },
-        ..check("time_gap", Severity::Error, Applies::Gripper)
+        ..check("time_gap", Severity::Error, Applies::Gripper, &[Need::Arm])
+    },
+    Check {
+        meaning: "The recorded times do not advance by one frame per frame: frames were lost or recorded late, or the times run backwards. A policy that assumes a constant rate learns a wrong speed there. Split the demonstration at the gap, or resample it.",
+        measure: "Largest deviation of a difference between consecutive times from the duration of a frame, in durations of a frame",
+        basis: Basis::Constant {
+            spatial: 0.5,
+            planar: 0.0,
+            why: "half the duration of a frame: from there on, the nearest frame of a constant rate is another one",
+        },
+        ..check("timestamps", Severity::Warning, Applies::Arm, &[Need::Times])
     },
 ];

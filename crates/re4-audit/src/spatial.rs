@@ -7,12 +7,15 @@ use nalgebra::Vector3;
 use re4_episode::{Mode, SpatialEpisode, SpatialFrame};
 use re4_segment::SegmentedSpatial;
 
-use crate::actions::{ActionFit, check_actions_and_motion, check_commands, is_idle, saturated_fraction};
+use crate::actions::{
+    ActionFit, LEAST_TRAVEL, Response, against_command, check_actions_and_motion, check_commands, is_idle,
+    saturated_fraction,
+};
 use crate::common::{Sink, hash, lengths_and_flicker};
 use crate::copies::Path;
 use crate::finding::Finding;
-use crate::grasps::{GraspLimits, GraspOutcome, JudgedGrasp, Release, judge, release, rest};
-use crate::motion::check_motion;
+use crate::grasps::{FingerUnit, GraspLimits, GraspOutcome, JudgedGrasp, Release, judge, release, rest};
+use crate::motion::{Steps, check_motion, translates};
 use crate::object::{check_object_poses, wrong_poses};
 use crate::runs::{longest, runs};
 use crate::thresholds::{Observation, Thresholds};
@@ -112,11 +115,24 @@ pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &Grasp
     check_grasps(demo, &grasps, limits, &mut sink);
     check_object_poses(&wrong, &mut sink);
     check_transit(demo, &mut sink);
-    check_fingers(demo, &mut sink);
-    check_motion(demo, &mut sink);
-    check_actions_and_motion(ActionFit::of(frames).as_ref(), frames, &mut sink);
-    check_commands(frames, &mut sink);
-    check_success(frames, &mut sink);
+    check_fingers(&Fingers::of(demo), &mut sink);
+    check_motion(&Steps::of(demo), &|stretch| translates(frames, stretch), &mut sink);
+    let separation: Vec<f64> = frames.iter().map(SpatialFrame::finger_separation).collect();
+    let closes: Vec<bool> = frames.iter().map(SpatialFrame::closes).collect();
+    let fit = ActionFit::of(frames);
+    let response = Response {
+        frames: frames.len(),
+        fit: fit.as_ref(),
+        against: against_command(&separation, &closes, LEAST_TRAVEL),
+        arm: "the end effector",
+        axes: &["x", "y", "z"],
+    };
+    check_actions_and_motion(&response, &mut sink);
+    let idle: Vec<bool> = frames.iter().map(is_idle).collect();
+    let saturated = [saturated_fraction(frames, 1), saturated_fraction(frames, 2)];
+    check_commands(&idle, saturated, &mut sink);
+    let rewards: Vec<Option<f64>> = frames.iter().map(|frame| frame.reward).collect();
+    check_success(&rewards, &mut sink);
     check_seams(frames, &mut sink);
     SpatialAudit {
         findings: sink.findings,
@@ -126,14 +142,14 @@ pub fn audit_spatial(demo: &SpatialDemo, thresholds: &Thresholds, limits: &Grasp
 
 /// Counts the transfer segments. Segments that continue a grasp across a flicker are counted once; segments that are too short
 /// to have an outcome are not counted.
-fn transfers(grasps: &[JudgedGrasp]) -> usize {
+pub(crate) fn transfers(grasps: &[JudgedGrasp]) -> usize {
     grasps
         .iter()
         .filter(|grasp| !grasp.continues && grasp.outcome != GraspOutcome::Brief)
         .count()
 }
 
-fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], limits: &GraspLimits, sink: &mut Sink<'_>) {
+pub(crate) fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], limits: &GraspLimits, sink: &mut Sink<'_>) {
     let all = 0..demo.episode.frames.len();
     if demo.segmented.grasp_frame.is_none() {
         sink.add(
@@ -149,12 +165,12 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], limits: &GraspLimits
                 "missed_grasp",
                 grasp.frames.clone(),
                 Some(grasp.narrowest),
-                why_missed(demo, grasp, sink.thresholds.over("missed_grasp")),
+                why_missed(demo, grasp, sink.thresholds.over("missed_grasp"), limits.fingers),
             ),
             GraspOutcome::Lost(frame) => sink.add(
                 "lost_grasp",
                 grasp.slip.start..grasp.frames.end,
-                distance_from_grasp(demo, grasp, frame),
+                distance_from_grasp(demo, grasp, frame).filter(|_| limits.fingers == FingerUnit::Metres),
                 format!(
                     "the object leaves the gripper at frame {frame}, but the command to close lasts until frame {}",
                     grasp.frames.end
@@ -195,19 +211,20 @@ fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], limits: &GraspLimits
     }
 }
 
-fn why_missed(demo: &SpatialDemo, grasp: &JudgedGrasp, closed: f64) -> String {
+fn why_missed(demo: &SpatialDemo, grasp: &JudgedGrasp, closed: f64, unit: FingerUnit) -> String {
     let stopped = demo
         .segmented
         .segments
         .get(grasp.segment)
         .is_some_and(|summary| summary.settled_frame.is_some());
-    let apart = 1e3 * grasp.narrowest;
+    let apart = unit.apart(grasp.narrowest, 1);
+    let to = unit.size(grasp.narrowest, 1);
     if grasp.narrowest < closed {
-        format!("the fingers close to {apart:.1} mm with nothing between them")
+        format!("the fingers close to {to} with nothing between them")
     } else if stopped {
-        format!("the fingers stop {apart:.1} mm apart on something that does not follow the end effector")
+        format!("the fingers stop {apart} on something that does not follow the end effector")
     } else {
-        format!("the fingers close to {apart:.1} mm, and are commanded to open again before anything has stopped them")
+        format!("the fingers close to {to}, and are commanded to open again before anything has stopped them")
     }
 }
 
@@ -324,29 +341,57 @@ fn settle_from(demo: &SpatialDemo, range: &Range<usize>) -> usize {
         .unwrap_or(range.end)
 }
 
-fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
-    let evidence = &demo.segmented.evidence;
+/// What the fingers do, frame by frame.
+pub(crate) struct Fingers {
+    /// Whether the gripper is commanded to close.
+    pub(crate) closes: Vec<bool>,
+    /// Distance between the fingers, in m, or the opening as a fraction of the travel.
+    pub(crate) separation: Vec<f64>,
+    /// Whether they hold something.
+    pub(crate) holds: Vec<bool>,
+    /// Unit of the distances.
+    pub(crate) unit: FingerUnit,
+}
+
+impl Fingers {
+    fn of(demo: &SpatialDemo) -> Self {
+        let evidence = &demo.segmented.evidence;
+        Self {
+            closes: evidence.iter().map(|e| e.command_closes).collect(),
+            separation: evidence.iter().map(|e| e.finger_separation).collect(),
+            holds: evidence.iter().map(|e| e.holds).collect(),
+            unit: FingerUnit::Metres,
+        }
+    }
+}
+
+pub(crate) fn check_fingers(fingers: &Fingers, sink: &mut Sink<'_>) {
+    let Fingers {
+        closes: commands,
+        separation,
+        holds,
+        unit,
+    } = fingers;
+    let (moved, open) = (unit.of(FINGERS_MOVED), unit.of(OPEN));
     let lag = sink.thresholds.over("command_fingers_disagree");
     let closed = sink.thresholds.over("missed_grasp");
     for closes in [true, false] {
-        for run in runs(evidence.iter().map(|e| e.command_closes == closes), 1) {
+        for run in runs(commands.iter().map(|command| *command == closes), 1) {
             // The fingers can first respond in the frame after the first command, so the run needs one frame more than the lag.
             if run.len() as f64 <= lag {
                 continue;
             }
             let late = run.start + lag as usize;
-            let (Some(start), Some(then)) = (evidence.get(run.start), evidence.get(late)) else {
+            let (Some(start), Some(then)) = (separation.get(run.start), separation.get(late)) else {
                 continue;
             };
-            let change = then.finger_separation - start.finger_separation;
+            let change = then - start;
             let stuck = if closes {
                 // Fingers that hold an object do not have to move.
-                let holding = evidence.get(run.clone()).unwrap_or_default().iter().any(|e| e.holds);
-                change > -FINGERS_MOVED
-                    && then.finger_separation > closed
-                    && (then.finger_separation > OPEN || !holding)
+                let holding = holds.get(run.clone()).unwrap_or_default().iter().any(|holds| *holds);
+                change > -moved && *then > closed && (*then > open || !holding)
             } else {
-                change < FINGERS_MOVED && then.finger_separation < OPEN
+                change < moved && *then < open
             };
             if stuck {
                 sink.add(
@@ -354,10 +399,10 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
                     run.start..run.end,
                     Some(lag),
                     format!(
-                        "{lag} frames after the command to {} at frame {}, the fingers are {:.0} mm apart and have not moved",
+                        "{lag} frames after the command to {} at frame {}, the fingers are {} and have not moved",
                         if closes { "close" } else { "open" },
                         run.start,
-                        1e3 * then.finger_separation
+                        unit.apart(*then, 0)
                     ),
                 );
             }
@@ -365,11 +410,11 @@ fn check_fingers(demo: &SpatialDemo, sink: &mut Sink<'_>) {
     }
 }
 
-fn check_success(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
-    let best = frames.iter().filter_map(|frame| frame.reward).reduce(f64::max);
+pub(crate) fn check_success(rewards: &[Option<f64>], sink: &mut Sink<'_>) {
+    let best = rewards.iter().copied().flatten().reduce(f64::max);
     let needed = sink.thresholds.over("ends_before_success");
     if let Some(best) = best.filter(|best| sink.thresholds.rewards && *best <= needed) {
-        let end = frames.len();
+        let end = rewards.len();
         sink.add(
             "ends_before_success",
             end.saturating_sub(1)..end,
@@ -377,26 +422,32 @@ fn check_success(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
             "no frame has a reward above 0, but frames of other demonstrations have".to_owned(),
         );
     }
-    let last = frames
+    let last = rewards
         .iter()
-        .rposition(|frame| frame.reward.is_some_and(|reward| reward > needed));
+        .rposition(|reward| reward.is_some_and(|reward| reward > needed));
     if let Some(last) = last {
-        let lost = last + 1..frames.len();
+        let lost = last + 1..rewards.len();
         sink.exceeding("success_lost", lost.clone(), lost.len() as f64, |value| {
             format!("the last reward is at frame {last}; the {value} frames after it have none")
         });
     }
 }
 
+/// The frames after which a quaternion changes its sign.
+pub(crate) fn flips<'a>(orientations: impl Iterator<Item = &'a nalgebra::UnitQuaternion<f64>> + Clone) -> Vec<usize> {
+    orientations
+        .clone()
+        .zip(orientations.skip(1))
+        .enumerate()
+        .filter(|(_, (now, next))| now.coords.dot(&next.coords) < 0.0)
+        .map(|(frame, _)| frame)
+        .collect()
+}
+
 fn check_seams(frames: &[SpatialFrame], sink: &mut Sink<'_>) {
     let pairs = || frames.iter().zip(frames.iter().skip(1));
-    let flips = |orientation: fn(&SpatialFrame) -> &nalgebra::UnitQuaternion<f64>| -> Vec<usize> {
-        pairs()
-            .enumerate()
-            .filter(|(_, (now, next))| orientation(now).coords.dot(&orientation(next).coords) < 0.0)
-            .map(|(frame, _)| frame)
-            .collect()
-    };
+    let flips =
+        |orientation: fn(&SpatialFrame) -> &nalgebra::UnitQuaternion<f64>| flips(frames.iter().map(orientation));
     let goal = |frame: &SpatialFrame| Vector3::new(frame.goal[3], frame.goal[4], frame.goal[5]);
     // A goal rotates by less than pi in a step. If its rotation vector changes by more, the vector has passed pi and changed its
     // sign.

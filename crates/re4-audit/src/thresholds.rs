@@ -1,15 +1,17 @@
 //! Thresholds of the checks, each with its origin.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
 
 use crate::actions::ActionFit;
-use crate::checks::{Basis, Check, ENOUGH};
+use crate::checks::{Basis, Check, ENOUGH, Need};
 use crate::config::AuditConfig;
 use crate::copies::{Path, nearest_distances};
 use crate::list::CHECKS;
+use re4_task::Domain;
+
 use re4_stats::{median, quantile, robust_deviation, sorted};
 
 /// The origin of a threshold.
@@ -85,8 +87,10 @@ impl Usual {
     /// The medians over the demonstrations whose actions explain most of the motion. `None` if these are too few, or fewer than
     /// half of all.
     fn of(observations: &[Observation]) -> Option<Self> {
-        let all = observations.iter().filter_map(|observation| observation.response);
-        let explained: Vec<ActionFit> = all.clone().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
+        let all = observations
+            .iter()
+            .filter_map(|observation| observation.response.as_ref());
+        let explained: Vec<&ActionFit> = all.clone().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
         if explained.len() < ENOUGH || 2 * explained.len() <= all.count() {
             return None;
         }
@@ -97,10 +101,53 @@ impl Usual {
     }
 }
 
+/// What the checks of a dataset depend on besides its demonstrations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dataset {
+    /// The kind of its demonstrations.
+    pub domain: Domain,
+    /// Fingers closer together than this hold nothing, in m, or as a fraction of the travel for an arm without an object.
+    pub closed: f64,
+    /// What it lacks of what checks need.
+    pub lacks: BTreeSet<Need>,
+    /// Frames per second, if known.
+    pub rate: Option<f64>,
+}
+
+impl Dataset {
+    /// A dataset that lacks nothing.
+    pub fn new(domain: Domain, closed: f64) -> Self {
+        Self {
+            domain,
+            closed,
+            lacks: BTreeSet::new(),
+            rate: None,
+        }
+    }
+
+    /// Why a check cannot be made; `None` if the dataset has everything that it needs.
+    fn lacks(&self, check: &Check) -> Option<&'static str> {
+        let lacking = check.needs.iter().find(|need| self.lacks.contains(need));
+        lacking.map(|need| need.lacking())
+    }
+
+    /// A constant of a check, in frames of this dataset if it is a duration: durations are those at 20 frames per second.
+    fn frames(&self, check: &Check, value: f64) -> f64 {
+        let duration = check.unit == "frames" && check.code != "actions_shifted";
+        match self.rate {
+            Some(rate) if duration => (value * rate / RATE).round().max(1.0),
+            _ => value,
+        }
+    }
+}
+
+/// Frames per second of the datasets for which durations are stated.
+const RATE: f64 = 20.0;
+
 /// The thresholds of all checks that apply to a dataset, and the dataset's statistics that checks compare with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Thresholds {
-    planar: bool,
+    domain: Domain,
     by_code: BTreeMap<&'static str, Threshold>,
     /// Median of the final object positions, coordinate by coordinate; `None` without demonstrations.
     pub(crate) usual_end: Option<Vector3<f64>>,
@@ -122,6 +169,13 @@ impl Thresholds {
     /// Derives the thresholds from the first pass over all demonstrations. `planar` selects the checks and units of Push-T.
     /// `closed` is the pipeline's `segment.gripper.closed`, in m.
     pub fn derive(observations: &[Observation], config: &AuditConfig, planar: bool, closed: f64) -> Self {
+        let domain = if planar { Domain::Plane } else { Domain::Space };
+        Self::of(observations, config, &Dataset::new(domain, closed))
+    }
+
+    /// Derives the thresholds from the first pass over all demonstrations of a dataset.
+    pub fn of(observations: &[Observation], config: &AuditConfig, dataset: &Dataset) -> Self {
+        let planar = dataset.domain == Domain::Plane;
         let usual_end = usual_end(observations);
         let mut values: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
         for observation in observations {
@@ -135,7 +189,9 @@ impl Thresholds {
         }
         let usual_response = Usual::of(observations);
         if let Some(usual) = usual_response {
-            let fits = observations.iter().filter_map(|observation| observation.response);
+            let fits = observations
+                .iter()
+                .filter_map(|observation| observation.response.as_ref());
             for (code, value) in fits.flat_map(|fit| fit.values(&usual)) {
                 values.entry(code).or_default().push(value);
             }
@@ -147,7 +203,8 @@ impl Thresholds {
         let rewards = observations.iter().any(|o| o.rewarded == Some(true));
         let length_deviation = robust_deviation(&lengths).unwrap_or(0.0);
         // Checks whose measure does not exist in this dataset.
-        let unmeasured = |code: &str| match code {
+        let unmeasured = |check: &Check| match check.code {
+            _ if dataset.lacks(check).is_some() => dataset.lacks(check),
             "ends_before_success" | "success_lost" if !planar && !rewards => {
                 Some("no demonstration has a reward above 0")
             }
@@ -161,19 +218,20 @@ impl Thresholds {
         };
         let by_code = CHECKS
             .iter()
-            .filter(|check| check.applies_to(planar))
+            .filter(|check| check.applies_to(dataset.domain))
             .map(|check| {
                 let observed = values.get(check.code).map_or(&[] as &[f64], Vec::as_slice);
-                let threshold = match (config.threshold(check.code), unmeasured(check.code)) {
+                let threshold = match (config.threshold(check.code), unmeasured(check)) {
+                    (_, Some(why)) if dataset.lacks(check).is_some() => not_made(why),
                     (Some(value), _) => set(check, value),
                     (None, Some(why)) => not_made(why),
-                    (None, None) => derive(check, observed, planar, closed),
+                    (None, None) => derive(check, observed, dataset),
                 };
                 (check.code, threshold)
             })
             .collect();
         Self {
-            planar,
+            domain: dataset.domain,
             by_code,
             usual_end,
             usual_length: median(&lengths).unwrap_or(0.0),
@@ -192,9 +250,19 @@ impl Thresholds {
         self
     }
 
-    /// Whether the dataset is planar.
-    pub fn planar(&self) -> bool {
-        self.planar
+    /// The kind of the demonstrations.
+    pub fn domain(&self) -> Domain {
+        self.domain
+    }
+
+    /// Whether a check is made.
+    pub(crate) fn made(&self, code: &str) -> bool {
+        self.by_code.get(code).is_some_and(|threshold| threshold.made)
+    }
+
+    /// How most arms follow their actions: the median lag in frames and the median gain. `None` if that is not clear.
+    pub fn usual_response(&self) -> Option<Usual> {
+        self.usual_response
     }
 
     /// Iterates over the checks that apply and their thresholds, sorted by code.
@@ -264,8 +332,13 @@ fn too_few(minimum: f64, count: usize, of: &str) -> Threshold {
     constant(Some(minimum), why)
 }
 
-fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Threshold {
-    let pick = |spatial, flat| if planar { flat } else { spatial };
+fn derive(check: &Check, observed: &[f64], dataset: &Dataset) -> Threshold {
+    let pick = |spatial, flat| match dataset.domain {
+        Domain::Plane => flat,
+        Domain::Space => spatial,
+        Domain::Arm => dataset.frames(check, spatial),
+    };
+    let closed = dataset.closed;
     match check.basis {
         Basis::Nothing => constant(None, "the check has no threshold".to_owned()),
         Basis::Constant {
@@ -275,12 +348,18 @@ fn derive(check: &Check, observed: &[f64], planar: bool, closed: f64) -> Thresho
         } => constant(Some(pick(spatial, flat)), why.to_owned()),
         Basis::ClosedFingers => Threshold {
             value: Some(closed),
-            origin: if closed == re4_segment::GripperConfig::default().closed {
+            origin: if dataset.domain == Domain::Arm || closed == re4_segment::GripperConfig::default().closed {
                 Origin::Default
             } else {
                 Origin::Setting
             },
-            derivation: "segment.gripper.closed, by default the paper's value for a failed grasp".to_owned(),
+            derivation: match dataset.domain {
+                Domain::Arm => "the paper's value for a failed grasp as a fraction of the simulated gripper's opening",
+                Domain::Plane | Domain::Space => {
+                    "segment.gripper.closed, by default the paper's value for a failed grasp"
+                }
+            }
+            .to_owned(),
             made: true,
         },
         Basis::Fence {

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use re4_audit::{
-    AuditConfig, CHECKS, Finding, GraspLimits, GraspOutcome, Observation, Origin, PlanarDemo, SpatialDemo, Thresholds,
-    audit_copies, audit_planar, audit_spatial, observe_planar, observe_spatial,
+    AuditConfig, CHECKS, Finding, FingerUnit, GraspLimits, GraspOutcome, Observation, Origin, PlanarDemo, SpatialDemo,
+    Thresholds, audit_copies, audit_planar, audit_spatial, observe_planar, observe_spatial,
 };
 use re4_episode::{PlanarEpisode, PlanarFrame, SpatialEpisode, SpatialFrame};
 use re4_geometry::{Point2, Pose2};
@@ -18,6 +18,7 @@ const LIMITS: GraspLimits = GraspLimits {
     flicker: 5,
     frozen: 3,
     swapped: 0.03,
+    fingers: FingerUnit::Metres,
 };
 
 /// A flawless demonstration: reach for 10 frames, close in 8, carry for 20, open in 8, retreat for 6. `number` makes it different
@@ -449,7 +450,11 @@ fn thresholds_state_their_origin() {
         let (_, threshold) = thresholds.iter().find(|(check, _)| check.code == code).unwrap();
         threshold.clone()
     };
-    assert_eq!(all.iter().count() + 2, CHECKS.len(), "all checks but the two of Push-T");
+    assert_eq!(
+        all.iter().count() + 4,
+        CHECKS.len(),
+        "all checks but the two of Push-T and the two of the task arm"
+    );
     let step = of(&all, "discontinuity_eef").value.unwrap();
     assert!((step - 0.03).abs() < 1e-9, "three steps of a centimetre: {step}");
     assert_eq!(of(&few, "discontinuity_eef").value, Some(0.06));

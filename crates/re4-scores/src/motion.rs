@@ -1,6 +1,7 @@
 //! The motion of a demonstration, and the scores that follow from it directly.
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use re4_artifact::episodes::ArmColumns;
 use re4_episode::pace::{IDLE_FRACTION, fast_step, reach};
 use re4_episode::{Mode, PlanarEpisode, Segment, SpatialEpisode, SpatialFrame};
 
@@ -49,6 +50,62 @@ impl Motion {
             states: frames.iter().map(spatial_state).collect(),
             actions: frames.iter().map(spatial_action).collect(),
             segments: segments.to_vec(),
+            period,
+        }
+    }
+
+    /// The motion of a demonstration of an arm without an object. `openings` are those of the gripper, as fractions of its travel;
+    /// `period` is the duration of a frame, in s. Without positions of the end effector, the scores of its path are not defined, and
+    /// steps are those of the whole recorded state.
+    pub fn arm(frames: &[ArmColumns], openings: Option<&[f64]>, segments: &[Segment], period: f64) -> Self {
+        let pairs = || frames.iter().zip(frames.iter().skip(1));
+        let eef: Option<Vec<Vector3<f64>>> = frames.iter().map(|frame| frame.eef).collect();
+        let opening = |frame: usize| {
+            openings
+                .and_then(|openings| openings.get(frame))
+                .copied()
+                .unwrap_or(0.0)
+        };
+        let pose = |frame: &ArmColumns| {
+            let orientation = frame.eef_orientation.unwrap_or_else(UnitQuaternion::identity);
+            Some(Isometry3::from_parts(Translation3::from(frame.eef?), orientation))
+        };
+        let steps = pairs().map(|(now, next)| match pose(now).zip(pose(next)) {
+            Some((now, next)) => reach(&now, &next),
+            None => apart(&now.state, &next.state),
+        });
+        let first = |numbers: &[f64], last: f64| {
+            let mut features = [0.0; FEATURES];
+            features
+                .iter_mut()
+                .zip(numbers)
+                .for_each(|(feature, number)| *feature = *number);
+            features[FEATURES - 1] = last;
+            features
+        };
+        let states = frames.iter().enumerate().map(|(place, frame)| {
+            let position: Vec<f64> = match frame.eef {
+                Some(eef) => eef.iter().copied().collect(),
+                None => frame.state.clone(),
+            };
+            first(&position, opening(place))
+        });
+        let actions = frames
+            .iter()
+            .map(|frame| first(&frame.action, frame.gripper.unwrap_or_default()));
+        let fingers = openings
+            .unwrap_or_default()
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).abs());
+        let eef = eef.unwrap_or_else(|| vec![Vector3::zeros(); frames.len()]);
+        Self {
+            object: eef.clone(),
+            steps: steps.collect(),
+            fingers: fingers.collect(),
+            states: states.collect(),
+            actions: actions.collect(),
+            segments: segments.to_vec(),
+            eef,
             period,
         }
     }
@@ -119,6 +176,11 @@ fn spatial_state(frame: &SpatialFrame) -> [f64; FEATURES] {
 fn spatial_action(frame: &SpatialFrame) -> [f64; FEATURES] {
     let [x, y, z, rx, ry, rz] = frame.delta;
     [x, y, z, rx, ry, rz, frame.gripper]
+}
+
+/// Euclidean distance.
+fn apart(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (b - a).powi(2)).sum::<f64>().sqrt()
 }
 
 /// Length of a path.

@@ -35,6 +35,56 @@ pub struct SegmentConfig {
     /// robosuite tasks: settings of the gripper. Default: the default of each setting.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gripper: Option<GripperConfig>,
+    /// Task `arm`: what the dataset does not prove about its gripper.
+    #[serde(skip_serializing_if = "OpeningConfig::is_default")]
+    pub opening: OpeningConfig,
+}
+
+/// What a dataset of the task `arm` does not prove about its gripper.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct OpeningConfig {
+    /// Whether the recorded opening decreases or increases when the gripper closes; without a recorded opening, the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub closes: Option<Closes>,
+    /// The recorded opening of the gripper when it is fully shut. A gripper that settles there holds nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shut: Option<f64>,
+}
+
+impl OpeningConfig {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// How the opening of a gripper changes when it closes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Closes {
+    /// It decreases: a distance between fingers, a width, a percentage of the full opening.
+    Decreasing,
+    /// It increases: the angle of a finger's drive, a fraction of the full closing.
+    Increasing,
+}
+
+impl Closes {
+    /// The name in the pipeline file.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Decreasing => "decreasing",
+            Self::Increasing => "increasing",
+        }
+    }
+
+    /// 1 if larger values are more open, else -1.
+    pub(crate) fn sign(self) -> f64 {
+        match self {
+            Self::Decreasing => 1.0,
+            Self::Increasing => -1.0,
+        }
+    }
 }
 
 /// Settings of the gripper.
@@ -111,12 +161,18 @@ pub enum Rule {
     Grasp,
     /// As `grasp`, but only while the recorded object stays where it was in the gripper.
     Evidence,
+    /// Task `arm`: as `grasp`, for any gripper. What closes it and how far it opens is proven from the dataset, or set in
+    /// `segment.opening`.
+    Gripper,
 }
 
 impl Rule {
     /// Whether the rule reads the gripper, which Push-T does not have.
     pub fn needs_gripper(self) -> bool {
-        matches!(self, Self::GripperCommand | Self::Grasp | Self::Evidence)
+        matches!(
+            self,
+            Self::GripperCommand | Self::Grasp | Self::Evidence | Self::Gripper
+        )
     }
 
     /// Whether the rule reads recorded object poses.
@@ -132,6 +188,7 @@ impl Rule {
             Self::GripperCommand => "gripper_command",
             Self::Grasp => "grasp",
             Self::Evidence => "evidence",
+            Self::Gripper => "gripper",
         }
     }
 }
@@ -160,6 +217,7 @@ impl Default for SegmentConfig {
             minimum_rotation: 0.002,
             object_distance: ObjectDistance::AtEef,
             gripper: None,
+            opening: OpeningConfig::default(),
         }
     }
 }
@@ -176,6 +234,16 @@ impl SegmentConfig {
             minimum_rotation: 0.005,
             object_distance: ObjectDistance::AtEef,
             gripper: Some(GripperConfig::default()),
+            opening: OpeningConfig::default(),
+        }
+    }
+
+    /// Returns the defaults for demonstrations of an arm without an object. The rule is [`Rule::Gripper`].
+    pub fn arm() -> Self {
+        Self {
+            rule: Rule::Gripper,
+            gripper: None,
+            ..Self::spatial()
         }
     }
 

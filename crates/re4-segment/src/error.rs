@@ -28,6 +28,23 @@ pub enum SegmentError {
         /// Name of the demonstration in its source.
         demo: String,
     },
+    /// Nothing in the dataset states or proves which way the gripper closes.
+    #[error("cannot segment by the gripper: which way it closes is not proven by the {what} ({why})")]
+    #[remedy(
+        "set segment.opening.closes to \"decreasing\" if the number falls when the gripper closes, or to \"increasing\" if it rises"
+    )]
+    ClosingUnknown {
+        /// What was measured, as a part of the sentence.
+        what: &'static str,
+        /// Why it is not proven.
+        why: String,
+    },
+    /// The dataset has neither an opening nor a command of a gripper.
+    #[error("cannot segment by the gripper: the dataset has neither its opening nor a command for it")]
+    #[remedy(
+        "name the gripper's datasets in the table [ingest.arm], or set segment.rule = \"always_transit\" if the arm has no gripper"
+    )]
+    NothingOfGripper,
     /// The episode has no frames.
     #[error("cannot segment {demo}: it has no frames")]
     #[remedy("leave it out with ingest.select")]

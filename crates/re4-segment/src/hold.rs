@@ -62,22 +62,65 @@ fn holds(frames: &[SpatialFrame], gripper: &GripperConfig) -> Vec<Range<usize>> 
     let separation: Vec<f64> = frames.iter().map(SpatialFrame::finger_separation).collect();
     let commands = command_modes(frames, Command::Last);
     let closes = |frame: usize| commands.get(frame) == Some(&Mode::Transfer);
+    let limits = HoldLimits {
+        closed: gripper.closed,
+        still: gripper.still,
+        squeeze: SQUEEZE,
+        let_go: LET_GO,
+        closing: CLOSING,
+    };
+    stopped(&separation, closes, &limits)
+}
+
+/// By which distances between the fingers, in one unit, a hold is recognized.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct HoldLimits {
+    /// Fingers closer together than this hold nothing.
+    pub(crate) closed: f64,
+    /// Fingers are at rest if the distance between them changes by less than this in a step.
+    pub(crate) still: f64,
+    /// As [`SQUEEZE`].
+    pub(crate) squeeze: f64,
+    /// As [`LET_GO`].
+    pub(crate) let_go: f64,
+    /// As [`CLOSING`].
+    pub(crate) closing: usize,
+}
+
+impl HoldLimits {
+    /// The limits of a gripper whose full travel is 1, without a closed value: those of the simulated gripper, whose fingers are 8 cm
+    /// apart when it is open, as fractions.
+    pub(crate) const OF_TRAVEL: Self = Self {
+        closed: f64::NEG_INFINITY,
+        still: 0.0005 / SIMULATED,
+        squeeze: SQUEEZE / SIMULATED,
+        let_go: LET_GO / SIMULATED,
+        closing: CLOSING,
+    };
+}
+
+/// Distance between the fingers of the simulated gripper when it is open, in m.
+pub(crate) const SIMULATED: f64 = 0.08;
+
+/// The stretches in which something stops fingers that have been closing. `closes` states whether the gripper is commanded to close
+/// when it arrives at a frame.
+pub(crate) fn stopped(separation: &[f64], closes: impl Fn(usize) -> bool, limits: &HoldLimits) -> Vec<Range<usize>> {
     let mut found: Vec<Range<usize>> = Vec::new();
     let mut frame = 0;
     while let Some(&grip) = separation.get(frame) {
         let earliest = found.last().map_or(0, |hold| hold.end);
         let recent = separation
-            .get(frame.saturating_sub(CLOSING)..=frame)
+            .get(frame.saturating_sub(limits.closing)..=frame)
             .unwrap_or_default();
-        let closed_here = recent.iter().any(|before| *before > grip + LET_GO);
-        if !(closes(frame) && grip > gripper.closed && closed_here && rests(&separation, frame, gripper.still)) {
+        let closed_here = recent.iter().any(|before| *before > grip + limits.let_go);
+        if !(closes(frame) && grip > limits.closed && closed_here && rests(separation, frame, limits.still)) {
             frame += 1;
             continue;
         }
         let touches = |frame: usize| {
             separation
                 .get(frame)
-                .is_some_and(|s| (0.0..SQUEEZE).contains(&(s - grip)))
+                .is_some_and(|s| (0.0..limits.squeeze).contains(&(s - grip)))
         };
         let start = (earliest..frame)
             .rev()
@@ -85,7 +128,7 @@ fn holds(frames: &[SpatialFrame], gripper: &GripperConfig) -> Vec<Range<usize>> 
             .last()
             .unwrap_or(frame);
         let end = (frame..separation.len())
-            .find(|&after| separation.get(after).is_none_or(|s| (s - grip).abs() >= LET_GO))
+            .find(|&after| separation.get(after).is_none_or(|s| (s - grip).abs() >= limits.let_go))
             .unwrap_or(separation.len());
         found.push(start..end);
         frame = end.max(frame + 1);

@@ -5,16 +5,20 @@
 //! the mode of a frame follows from the last gripper command before the frame, or from the command at the frame ([`Command`]).
 //! [`Rule::Grasp`] and [`Rule::Evidence`] find the frames in which the fingers hold something ([`hold_modes`]).
 
+mod arm;
 mod config;
 mod error;
+mod gripper;
 mod hold;
 mod motion;
 mod planar;
 mod spatial;
 mod tables;
 
-pub use config::{AnchorAt, Command, GripperConfig, ObjectDistance, Rule, SegmentConfig};
+pub use arm::{ArmEpisode, ArmEvidence, ArmSegment, SegmentedArm, segment_arm};
+pub use config::{AnchorAt, Closes, Command, GripperConfig, ObjectDistance, OpeningConfig, Rule, SegmentConfig};
 pub use error::SegmentError;
+pub use gripper::{Commands, Gripper, GripperObservation, Known, Proof};
 pub use hold::{Holding, hold_modes};
 pub use motion::{Pair, SpatialPair, StepMotion, rigid_motion_modes};
 pub use planar::{Evidence, SegmentSummary, SegmentedEpisode, segment_planar};

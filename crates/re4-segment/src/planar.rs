@@ -107,7 +107,9 @@ pub fn segment_planar(episode: &PlanarEpisode, config: &SegmentConfig) -> Result
         .map(|(now, next)| now.step_to(next))
         .collect();
     let modes = match config.rule {
-        Rule::AlwaysTransit | Rule::GripperCommand | Rule::Grasp | Rule::Evidence => vec![Mode::Transit; frames.len()],
+        Rule::AlwaysTransit | Rule::GripperCommand | Rule::Grasp | Rule::Evidence | Rule::Gripper => {
+            vec![Mode::Transit; frames.len()]
+        }
         Rule::RigidMotion => rigid_motion_modes(frames, config),
     };
     let evidence = frames

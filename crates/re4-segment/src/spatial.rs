@@ -141,7 +141,7 @@ pub fn segment_spatial(episode: &SpatialEpisode, config: &SegmentConfig) -> Resu
         Rule::AlwaysTransit => vec![Mode::Transit; frames.len()],
         Rule::RigidMotion => rigid_motion_modes(&pairs, config),
         Rule::GripperCommand => command_modes(frames, gripper.command),
-        Rule::Grasp => hold_modes(frames, &gripper, Holding::Fingers),
+        Rule::Grasp | Rule::Gripper => hold_modes(frames, &gripper, Holding::Fingers),
         Rule::Evidence => hold_modes(frames, &gripper, Holding::Object),
     };
     let evidence = evidence(frames, &steps, config, &gripper);

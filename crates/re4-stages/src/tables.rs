@@ -13,7 +13,9 @@ use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
 use re4_scores::ScoreRow;
-use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
+use re4_segment::{
+    ArmEvidence, ArmSegment, Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment,
+};
 
 use crate::stages::{
     BudgetRow, DivergenceRow, PlanarDivergenceRow, PlanarReplay, PolicyTrainingRow, ReplayRow, SpatialDivergence,
@@ -40,8 +42,10 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
         Stage::Segment => vec![
             ModeRow::<Evidence>::table(),
             ModeRow::<SpatialEvidence>::table(),
+            ModeRow::<ArmEvidence>::table(),
             SegmentRow::<SegmentSummary>::table(),
             SegmentRow::<SpatialSegment>::table(),
+            SegmentRow::<ArmSegment>::table(),
         ],
         Stage::Audit => vec![
             FindingRow::table(),
@@ -202,6 +206,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 64);
+        assert_eq!(names.len(), 66);
     }
 }

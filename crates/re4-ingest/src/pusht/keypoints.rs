@@ -98,7 +98,7 @@ mod tests {
                 let (found, residual) = layout.fit(&values(pose, layout));
                 prop_assert!(residual < 1e-9);
                 prop_assert!((found.x - x).hypot(found.y - y) < 1e-9);
-                prop_assert!(periodic_distance(found.theta, theta) < 1e-12);
+                prop_assert!(periodic_distance(found.theta, theta, std::f64::consts::TAU) < 1e-12);
                 let other = if layout == Layout::Pairs { Layout::Halves } else { Layout::Pairs };
                 prop_assert!(other.fit(&values(pose, layout)).1 > 10.0);
             }

@@ -293,7 +293,7 @@ fn names_of(
     if !lacks.is_empty() {
         faults.push(Hdf5Fault::Missing {
             objects: lacks,
-            fix: "restore what is missing, or leave the demonstration out with a filter key or ingest.select",
+            fix: "restore what is missing, leave the demonstration out with a filter key or ingest.select, or audit the file without an object with task = \"arm\"",
         });
     }
     if wanted == Wanted::Actions {
@@ -360,7 +360,7 @@ fn check_shape(name: Name, located: &Located) -> Result<(), Hdf5Fault> {
             None => "(N, numbers of a row)".to_owned(),
         },
         fix: if columns == ACTIONS.1 {
-            "only one arm with a two-finger gripper is supported (three numbers of position, three of rotation and one of the gripper), so give such a file"
+            "only one arm with a two-finger gripper is supported (three numbers of position, three of rotation and one of the gripper), so give such a file, or audit this one without an object with task = \"arm\""
         } else {
             "restore it, or leave the demonstration out with a filter key or ingest.select"
         },

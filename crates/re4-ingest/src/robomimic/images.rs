@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::sync::mpsc::sync_channel;
 
-use super::demo::Demo;
 use super::fault::Hdf5Fault;
 use super::file::{Element, File, Located};
 use super::reader::RobomimicReader;
@@ -61,10 +60,15 @@ impl RobomimicReader {
     ///
     /// # Errors
     /// The file needs the HDF5 library but was opened without it. Faults of the images are returned as a [`LeftOut`].
-    pub(super) fn check_cameras(&self, demo: &Demo, cameras: &[String]) -> Result<Result<(), LeftOut>, IngestError> {
+    pub(super) fn check_cameras(
+        &self,
+        demo: &str,
+        frames: usize,
+        cameras: &[String],
+    ) -> Result<Result<(), LeftOut>, IngestError> {
         let mut faults = Vec::new();
         for camera in cameras {
-            let path = self.image_path(&demo.name, camera);
+            let path = self.image_path(demo, camera);
             let checked = self.file.exists(&path).and_then(|there| {
                 if !there {
                     return Err(Hdf5Fault::Missing {
@@ -73,12 +77,12 @@ impl RobomimicReader {
                     });
                 }
                 let located = self.file.locate(&path)?;
-                let [height, width] = image_shape(&located, demo.frames)?;
+                let [height, width] = image_shape(&located, frames)?;
                 rows_at_once(&located, height * width * 3)
             });
             faults.extend(checked.err());
         }
-        self.left_out(&demo.name, Hdf5Fault::all(faults).map_or(Ok(()), Err))
+        self.left_out(demo, Hdf5Fault::all(faults).map_or(Ok(()), Err))
     }
 
     /// Passes all images of a camera to `take`, in the order of demonstrations and frames. `demos` lists the demonstrations with

@@ -509,7 +509,7 @@ fn parse_model(demo: &Demo) -> Result<Option<Arc<Model>>, Hdf5Fault> {
 fn no_object(demo: &Demo) -> Hdf5Fault {
     Hdf5Fault::Missing {
         objects: vec![format!("data/{}/obs/object", demo.name)],
-        fix: "restore it, or take the object's pose from the states with task = \"robosuite\" and ingest.object",
+        fix: "restore it, take the object's pose from the states with task = \"robosuite\" and ingest.object, or audit the file without an object with task = \"arm\"",
     }
 }
 

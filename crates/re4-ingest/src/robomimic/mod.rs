@@ -3,6 +3,7 @@
 //! A file has a group `/data` with one group per demonstration (`demo_0`, `demo_1`, ...), and optionally a group `/mask` with
 //! lists of their names. Values are returned bit for bit; what they mean is proven from the numbers ([`Interpreter`]).
 
+mod arm;
 mod demo;
 mod describe;
 mod direct;
@@ -23,6 +24,7 @@ mod stated;
 mod summary;
 mod survey;
 
+pub use arm::{ArmConfig, ArmSource};
 pub use demo::Demo;
 pub use describe::describe;
 pub use fault::Hdf5Fault;

@@ -292,15 +292,35 @@ impl RobomimicReader {
     pub fn for_each<T: Send, E: From<IngestError> + Send>(
         &self,
         work: impl Fn(usize, Result<Demo, LeftOut>) -> Result<T, E> + Sync,
+        take: impl FnMut(usize, T) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.for_each_found(
+            |demo| self.find(demo, self.wanted()),
+            |place, found| {
+                let read = found.and_then(|found| found.read(&self.file));
+                work(place, self.left_out(&self.demos[place].name, read)?)
+            },
+            take,
+        )
+    }
+
+    /// Like [`Self::for_each`], for demonstrations that `find` locates and `work` reads.
+    ///
+    /// # Errors
+    /// As for [`Self::for_each`].
+    pub(super) fn for_each_found<F: Send, T: Send, E: From<IngestError> + Send>(
+        &self,
+        find: impl Fn(&str) -> Result<F, Hdf5Fault> + Send,
+        work: impl Fn(usize, Result<F, Hdf5Fault>) -> Result<T, E> + Sync,
         mut take: impl FnMut(usize, T) -> Result<(), E>,
     ) -> Result<(), E> {
         std::thread::scope(|scope| -> Result<(), E> {
             let (sender, receiver) = sync_channel(AHEAD);
             scope.spawn(move || {
                 for (episode, demo) in self.demos.iter().enumerate() {
-                    let found = self.find(&demo.name, self.wanted());
+                    let found = find(&demo.name);
                     let last = found.as_ref().is_err_and(|fault| self.file.is_fatal(fault));
-                    if sender.send((episode, demo, found)).is_err() || last {
+                    if sender.send((episode, found)).is_err() || last {
                         break;
                     }
                 }
@@ -309,10 +329,7 @@ impl RobomimicReader {
                 let batch: Vec<_> = std::iter::once(first).chain(receiver.try_iter().take(AHEAD)).collect();
                 let done: Vec<Result<(usize, T), E>> = batch
                     .into_par_iter()
-                    .map(|(episode, demo, found)| {
-                        let read = found.and_then(|found| found.read(&self.file));
-                        Ok((episode, work(episode, self.left_out(&demo.name, read)?)?))
-                    })
+                    .map(|(episode, found)| Ok((episode, work(episode, found)?)))
                     .collect();
                 for done in done {
                     let (episode, result) = done?;

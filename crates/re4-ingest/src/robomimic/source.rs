@@ -99,7 +99,7 @@ impl RobomimicSource {
             Ok(demo) => demo,
             Err(left) => return Ok(Err(known.cloned().unwrap_or(left))),
         };
-        if let Err(left) = self.reader.check_cameras(&demo, &self.info.cameras)? {
+        if let Err(left) = self.reader.check_cameras(&demo.name, demo.frames, &self.info.cameras)? {
             return Ok(Err(known.cloned().unwrap_or(left)));
         }
         let other = match &self.comparison {

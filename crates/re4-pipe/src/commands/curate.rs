@@ -21,6 +21,7 @@ pub(crate) fn curate(arguments: &CurateArguments) -> Result<Outcome> {
     let start = Instant::now();
     let console = Console::new(&arguments.stage.common);
     let runner = arguments.rolled.runner(&arguments.stage)?.of_many_pipelines();
+    runner.pipeline.needs_object()?;
     let planar = runner.pipeline.task.is_planar();
     ensure!(
         !(planar && arguments.mask.is_some()),

@@ -21,6 +21,7 @@ pub(crate) fn influence(arguments: &InfluenceArguments) -> Result<Outcome> {
     let start = Instant::now();
     let console = Console::new(&arguments.stage.common);
     let runner = arguments.rolled.runner(&arguments.stage)?;
+    runner.pipeline.needs_object()?;
     let output = arguments
         .html
         .as_deref()

@@ -55,6 +55,7 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
+    runner.pipeline.needs_object()?;
     let planar = runner.pipeline.task.is_planar();
     ensure!(
         runner.pipeline.pose()?.source != PoseSource::Recorded,
@@ -77,6 +78,7 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
+    runner.pipeline.needs_object()?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     if !runner.pipeline.task.is_planar() {
@@ -94,6 +96,7 @@ pub(crate) fn train(arguments: &TrainArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let kind = arguments.policy.as_deref().map(kind_override);
     let runner = arguments.stage.runner(kind.as_slice())?;
+    runner.pipeline.needs_object()?;
     let built = runner.train()?;
     answer(console, &runner, &built)
 }
@@ -102,6 +105,7 @@ pub(crate) fn train(arguments: &TrainArguments) -> Result<Outcome> {
 pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner(&[])?;
+    runner.pipeline.needs_object()?;
     ensure!(
         runner.pipeline.task.is_planar(),
         "no scenes to choose: the stage scenes applies only to Push-T";
@@ -239,6 +243,7 @@ fn roll_out(runner: &Runner, arguments: &RolloutArguments) -> Result<Outcome> {
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let runner = arguments.stage.runner(&[])?;
+    runner.pipeline.needs_object()?;
     if !runner.pipeline.task.is_planar() {
         return spatial::replay(&runner, arguments);
     }

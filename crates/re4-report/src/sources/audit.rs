@@ -10,7 +10,7 @@ use re4_episode::Mode;
 use re4_geometry::{Point2, Pose2};
 use re4_scores::ScoreRow;
 use re4_segment::{Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment};
-use re4_task::Task;
+use re4_task::{Domain, Task};
 
 use crate::html::audit::{Audit, Contacts, Flag, Grasp, Measure, Panel, Segment, Series, Shot, page};
 use crate::html::rollouts::plane::block_outline;
@@ -37,10 +37,14 @@ pub struct AuditSources<'a> {
 /// # Errors
 /// If tables cannot be read, or do not describe the same demonstrations.
 pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
-    let planar = sources.task.is_planar();
+    let domain = sources.task.domain();
+    let planar = domain == Domain::Plane;
     let demos: Vec<AuditedEpisodeRow> = sources.audit.read()?;
     let known = KnownEpisodes(demos.iter().map(|demo| demo.episode).collect());
-    let segments = segments(sources.modes, planar)?;
+    let segments = match domain {
+        Domain::Arm => super::arm::segments(sources.modes)?,
+        Domain::Plane | Domain::Space => segments(sources.modes, planar)?,
+    };
     known.require(
         sources.modes,
         SegmentRow::<SegmentSummary>::NAME,
@@ -52,26 +56,27 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
         FindingRow::NAME,
         findings.iter().map(|finding| finding.episode),
     )?;
-    let grasps = if planar {
-        contact_onsets(sources.episodes, sources.modes, &segments)?
-    } else {
-        grasps(sources.audit)?
+    let grasps = match domain {
+        Domain::Plane => contact_onsets(sources.episodes, sources.modes, &segments)?,
+        Domain::Space => grasps(sources.audit)?,
+        Domain::Arm => Vec::new(),
     };
     known.require(sources.audit, GraspRow::NAME, grasps.iter().map(|grasp| grasp.episode))?;
     let frames: u64 = demos.iter().map(|demo| demo.frames as u64).sum();
-    let (flags, panels) = if planar {
-        PLANAR.read(
+    let (flags, panels) = match domain {
+        Domain::Plane => PLANAR.read(
             sources.modes,
             sources.episodes,
             [ModeRow::<Evidence>::table(), FrameRow::<PlanarColumns>::table()],
-        )?
-    } else {
-        SPATIAL.read(
+        )?,
+        Domain::Space => SPATIAL.read(
             sources.modes,
             sources.episodes,
             [ModeRow::<SpatialEvidence>::table(), FrameRow::<SpatialColumns>::table()],
-        )?
+        )?,
+        Domain::Arm => super::arm::evidence(sources.modes, sources.episodes)?,
     };
+    let seconds = sources.audit.manifest().summary["arm"]["frame_seconds"].as_f64();
     let rows = panels
         .first()
         .and_then(|panel| panel.series.first())
@@ -91,7 +96,7 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
         artifacts: [sources.audit, sources.modes, sources.episodes]
             .map(|artifact| (artifact.manifest().artifact.clone(), artifact.key().to_string()))
             .to_vec(),
-        frame_seconds: 1.0 / sources.task.control_rate() as f64,
+        frame_seconds: seconds.unwrap_or(1.0 / sources.task.control_rate() as f64),
         length: if planar {
             measure("px", 1.0)
         } else {
@@ -100,6 +105,7 @@ pub fn audit_page(sources: &AuditSources<'_>) -> Result<String> {
         checks: sources.audit.read()?,
         findings,
         grasps,
+        object: domain != Domain::Arm,
         outline: planar.then(block_outline),
         contacts: contacts(sources.audit),
         conventions: if sources.episodes.has::<Convention>() {
@@ -160,7 +166,7 @@ fn shots(episodes: &Artifact, findings: &[FindingRow]) -> Result<Vec<Shot>> {
     Ok(shots)
 }
 
-fn measure(unit: &str, factor: f64) -> Measure {
+pub(super) fn measure(unit: &str, factor: f64) -> Measure {
     Measure {
         unit: unit.to_owned(),
         factor,
@@ -209,7 +215,7 @@ fn segments(modes: &Artifact, planar: bool) -> Result<Vec<Segment>> {
 }
 
 /// The part of a segment that is the same for planar and spatial demonstrations.
-fn segment(episode: u32, number: u32, segment: &re4_episode::Segment) -> Segment {
+pub(super) fn segment(episode: u32, number: u32, segment: &re4_episode::Segment) -> Segment {
     Segment {
         episode,
         number,

@@ -1,5 +1,6 @@
 //! Reads artifacts and converts them to the content of pages, videos and images.
 
+pub(crate) mod arm;
 pub(crate) mod audit;
 pub(crate) mod comparison;
 pub(crate) mod findings;

@@ -28,7 +28,7 @@ pub(crate) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
 }
 
 /// The names in table `demos`.
-fn names(episodes: &Artifact) -> Result<Vec<String>> {
+pub(super) fn names(episodes: &Artifact) -> Result<Vec<String>> {
     let rows = episodes.read::<DemoRow>()?;
     Ok(rows.into_iter().map(|row| row.demo).collect())
 }

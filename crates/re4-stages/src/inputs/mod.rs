@@ -1,5 +1,6 @@
 //! Readers of artifacts, datasets and simulators that more than one stage uses.
 
+pub(crate) mod arm;
 pub(crate) mod demos;
 pub(crate) mod episodes;
 pub(crate) mod estimators;

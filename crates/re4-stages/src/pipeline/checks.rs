@@ -9,7 +9,7 @@ use re4_rollout::Disturbed;
 use re4_scenes::ScenesConfig;
 use re4_segment::{AnchorAt, Rule};
 use re4_sim::{GOAL_MARGIN, WALL_FACES, depth_in_walls};
-use re4_task::RobosuiteTask;
+use re4_task::{Domain, RobosuiteTask};
 
 use super::{Goal, IngestSection, Pipeline, PoseSection, PoseSource, RolloutSection, Task, Variant};
 
@@ -24,8 +24,10 @@ pub(crate) fn check(pipeline: &Pipeline) -> Result<()> {
         "the pipeline file has a table [policy] but no table [rollout]";
         "add [rollout], or remove [policy]"
     );
-    if !pipeline.task.is_planar() {
-        return check_robosuite(pipeline);
+    match pipeline.task.domain() {
+        Domain::Plane => {}
+        Domain::Space => return check_robosuite(pipeline),
+        Domain::Arm => return check_arm(pipeline),
     }
     check_planar(pipeline)?;
     let Some(rollout) = &pipeline.rollout else {
@@ -62,10 +64,66 @@ const ABOUT_THE_OBJECT: [&str; 8] = [
     "pushed_in_transit",
 ];
 
+/// What the stages after the audit need and a dataset without an object does not have.
+const NO_OBJECT: &str = "task is \"arm\", which has neither object poses nor a simulation";
+
+/// Checks a pipeline of an arm without an object.
+fn check_arm(pipeline: &Pipeline) -> Result<()> {
+    let ingest = &pipeline.ingest;
+    let foreign = [
+        ("object", ingest.object.is_some()),
+        ("env_args", ingest.env_args.is_some()),
+        ("compare", ingest.compare.is_some()),
+        ("conventions", ingest.conventions != Conventions::default()),
+        ("pusht", !ingest.pusht.is_default()),
+        ("render", !ingest.render.is_empty()),
+    ];
+    if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
+        bail!("ingest.{key} does not apply to the task \"arm\", which has neither an object nor a simulation"; "remove it");
+    }
+    ensure!(
+        ingest.images || ingest.cameras.is_none(),
+        "ingest.images is false, but ingest.cameras names cameras";
+        "remove one of them"
+    );
+    if let Err(why) = ingest.arm.check() {
+        bail!("ingest.arm.{why}");
+    }
+    ensure!(
+        matches!(pipeline.segment.rule, Rule::Gripper | Rule::AlwaysTransit),
+        "segment.rule is \"{}\", which needs an object or a two-finger gripper of known size", pipeline.segment.rule.as_str();
+        "set it to \"gripper\" for the task \"arm\""
+    );
+    let tables = [
+        ("variant", pipeline.variant.is_some()),
+        ("[pose]", pipeline.pose.is_some()),
+        ("[index]", pipeline.index.is_some()),
+        ("[scenes]", pipeline.scenes.is_some()),
+        ("[rollout]", pipeline.rollout.is_some()),
+    ];
+    match tables.iter().find(|(_, there)| *there) {
+        Some((table, _)) => bail!(
+            "{NO_OBJECT}, but the pipeline file has {table}";
+            "remove it and stop at the audit, or set task to a task with an object, such as \"can\""
+        ),
+        None => Ok(()),
+    }
+}
+
 /// Checks a pipeline of a robosuite task.
 fn check_robosuite(pipeline: &Pipeline) -> Result<()> {
     let ingest = &pipeline.ingest;
     ensure!(ingest.pusht.is_default(), "ingest.pusht applies only to Push-T"; "remove it");
+    ensure!(
+        ingest.arm.is_default(),
+        "ingest.arm applies only to the task \"arm\"";
+        "remove it, or set task = \"arm\""
+    );
+    ensure!(
+        pipeline.segment.rule != Rule::Gripper,
+        "segment.rule is \"gripper\", which is the rule of the task \"arm\"";
+        "set it to \"grasp\", which reads the fingers of a robosuite gripper"
+    );
     ensure!(
         ingest.object.is_none() || pipeline.task == Task::Robosuite,
         "ingest.object is given, but the task already defines the object";
@@ -353,6 +411,7 @@ fn check_planar(pipeline: &Pipeline) -> Result<()> {
     if let Some((key, _)) = foreign.iter().find(|(_, there)| *there) {
         bail!("ingest.{key} applies only to robosuite tasks"; "remove it");
     }
+    ensure!(ingest.arm.is_default(), "ingest.arm applies only to the task \"arm\""; "remove it");
     if let Err(why) = ingest.pusht.check() {
         bail!("ingest.pusht.{why}");
     }

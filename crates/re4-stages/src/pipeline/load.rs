@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 
 use super::rollout::ROBOMIMIC_STEPS;
 use super::schema::schema_with;
-use super::{Pipeline, Policy, checks};
+use super::{Pipeline, Policy, Task, checks};
 
 /// Reads a pipeline file and applies `--set` overrides.
 ///
@@ -61,7 +61,7 @@ pub(crate) fn parse(text: &str, path: &Path, overrides: &[String]) -> Result<Pip
     let policy = if planar {
         read_policy::<PlanePolicy>(&mut document, "plane").map(|(policy, schema)| (policy.map(Policy::Plane), schema))
     } else {
-        complete_robosuite(&mut document)?;
+        complete_spatial(&mut document)?;
         read_policy::<SpacePolicy>(&mut document, "space").map(|(policy, schema)| (policy.map(Policy::Space), schema))
     };
     let (policy, schema) = policy.with_context(unusable)?;
@@ -173,9 +173,15 @@ fn complete_encoder(document: &mut Value) -> Result<()> {
 
 /// Fills in the defaults of robosuite tasks, which differ from those of Push-T because positions are in metres and episodes are
 /// longer.
-fn complete_robosuite(document: &mut Value) -> Result<()> {
+fn complete_spatial(document: &mut Value) -> Result<()> {
+    let arm = document.get("task").and_then(Value::as_str) == Some(Task::Arm.name());
+    let defaults = if arm {
+        SegmentConfig::arm()
+    } else {
+        SegmentConfig::spatial()
+    };
     if let Some(section) = document.get_mut("segment").and_then(Value::as_object_mut)
-        && let Value::Object(defaults) = serde_json::to_value(SegmentConfig::spatial())?
+        && let Value::Object(defaults) = serde_json::to_value(defaults)?
     {
         for (key, value) in defaults {
             section.entry(key).or_insert(value);

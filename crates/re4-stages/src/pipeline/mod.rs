@@ -64,7 +64,28 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    fn missing(table: &str) -> Fault {
+    /// Refuses the task `arm` for a command that needs object poses or a simulation.
+    ///
+    /// # Errors
+    /// If the task is `arm`.
+    pub fn needs_object(&self) -> Result<()> {
+        if self.task == Task::Arm {
+            return Err(Self::no_object().into());
+        }
+        Ok(())
+    }
+
+    fn no_object() -> Fault {
+        fault!(
+            "a dataset of the task \"arm\" has no object, so it can be audited and segmented, but this command needs object poses";
+            "set task to a task with an object, such as \"can\", and give a dataset that has its poses"
+        )
+    }
+
+    fn missing(&self, table: &str) -> Fault {
+        if self.task == Task::Arm {
+            return Self::no_object();
+        }
         fault!(
             "the pipeline file has no table [{table}], which this command needs";
             "add it, or stop at an earlier stage"
@@ -90,7 +111,7 @@ impl Pipeline {
     /// # Errors
     /// If the pipeline has no table `[pose]`.
     pub fn pose(&self) -> Result<&PoseSection> {
-        self.pose.as_ref().or_fault(|| Self::missing("pose"))
+        self.pose.as_ref().or_fault(|| self.missing("pose"))
     }
 
     /// The table `[index]`: how the index is built.
@@ -98,7 +119,7 @@ impl Pipeline {
     /// # Errors
     /// If the pipeline has no table `[index]`.
     pub fn index(&self) -> Result<&IndexSection> {
-        self.index.as_ref().or_fault(|| Self::missing("index"))
+        self.index.as_ref().or_fault(|| self.missing("index"))
     }
 
     /// The table `[policy]`.
@@ -106,7 +127,7 @@ impl Pipeline {
     /// # Errors
     /// If the pipeline has no table `[policy]`.
     pub fn policy(&self) -> Result<&Policy> {
-        self.policy.as_ref().or_fault(|| Self::missing("policy"))
+        self.policy.as_ref().or_fault(|| self.missing("policy"))
     }
 
     /// The table `[rollout]`: how the policy is rolled out.
@@ -114,6 +135,6 @@ impl Pipeline {
     /// # Errors
     /// If the pipeline has no table `[rollout]`.
     pub fn rollout(&self) -> Result<&RolloutSection> {
-        self.rollout.as_ref().or_fault(|| Self::missing("rollout"))
+        self.rollout.as_ref().or_fault(|| self.missing("rollout"))
     }
 }

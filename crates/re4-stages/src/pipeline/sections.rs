@@ -8,6 +8,7 @@ use re4_geometry::Pose2;
 use re4_index::trim::Trim;
 use re4_ingest::lerobot::LerobotKeys;
 use re4_ingest::pusht::PushtConventions;
+use re4_ingest::robomimic::ArmConfig;
 use re4_ingest::{OnBad, Selection};
 use re4_robosuite::conventions::Settings as Conventions;
 use re4_sim::GOAL;
@@ -48,6 +49,9 @@ pub struct IngestSection {
     /// LeRobot datasets: which features are used for what.
     #[serde(default, skip_serializing_if = "LerobotKeys::is_default")]
     pub lerobot: LerobotKeys,
+    /// Task `arm`: which arrays of the dataset are read.
+    #[serde(default, skip_serializing_if = "ArmConfig::is_default")]
+    pub arm: ArmConfig,
     /// Whether to ingest the images.
     #[serde(default = "yes")]
     pub images: bool,

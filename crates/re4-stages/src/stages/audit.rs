@@ -1,5 +1,6 @@
 //! The stage `audit`: makes `audit`, which lists findings, from `episodes` and `modes`.
 
+mod arm;
 mod scores;
 mod summary;
 
@@ -9,15 +10,16 @@ use anyhow::Result;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_audit::{
-    AuditedEpisodeRow, CheckRow, Finding, FindingRow, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo, RuleAgreementRow,
-    Severity, SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion, observe_planar,
-    observe_spatial,
+    AuditedEpisodeRow, CheckRow, Finding, FindingRow, FingerUnit, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo,
+    RuleAgreementRow, Severity, SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion,
+    observe_planar, observe_spatial,
 };
 use re4_episode::{Mode, Segment};
 use re4_ingest::{Convention, LeftOut};
 use re4_scores::Sketch;
 use re4_segment::{Rule, SegmentConfig, segment_planar, segment_spatial};
 use re4_sim::{GOAL, coverage};
+use re4_task::Domain;
 
 use self::summary::{Contacts, summary};
 use crate::inputs::demos::{LeftOutEpisodes, SegmentedEpisodes, SpatialEpisodes, in_batches};
@@ -64,6 +66,8 @@ struct Audited {
     findings: Vec<Finding>,
     grasps: Vec<GraspRow>,
     contacts: Option<Contacts>,
+    /// What is known about a dataset of an arm without an object, for the summary.
+    arm: Option<serde_json::Value>,
     sketches: Vec<Sketch>,
     agreements: Vec<RuleAgreementRow>,
 }
@@ -108,10 +112,10 @@ impl Runner {
             .input("modes", modes.artifact.key());
         self.build(&recipe, |writer| {
             let left = left_out(&episodes.artifact)?;
-            let mut audited = if self.pipeline.task.is_planar() {
-                self.audit_planar(&episodes.artifact)?
-            } else {
-                self.audit_spatial(&episodes.artifact, &modes.artifact, &left, &Ok)?
+            let mut audited = match self.pipeline.task.domain() {
+                Domain::Plane => self.audit_planar(&episodes.artifact)?,
+                Domain::Space => self.audit_spatial(&episodes.artifact, &modes.artifact, &left, &Ok)?,
+                Domain::Arm => self.audit_arm(&episodes.artifact, &modes.artifact)?,
             };
             let kept = episodes.artifact.manifest().summary["episodes"].as_u64();
             audited.report_left_out(&left, kept.unwrap_or_default() as usize);
@@ -264,6 +268,7 @@ impl Runner {
             findings,
             grasps,
             contacts: None,
+            arm: None,
             sketches,
             agreements,
         })
@@ -278,6 +283,7 @@ impl Runner {
             flicker: given("flicker").unwrap_or_default().ceil() as usize,
             frozen: given("frozen_object").unwrap_or_default().ceil() as usize,
             swapped: given("swapped_object").unwrap_or_default(),
+            fingers: FingerUnit::Metres,
         }
     }
 
@@ -338,6 +344,7 @@ impl Runner {
         Ok(Audited {
             thresholds,
             contacts: Some(contacts.flatten().collect()),
+            arm: None,
             listed: demos.iter().map(list_planar).collect(),
             sketches: demos.par_iter().map(|demo| self.sketch_planar(demo)).collect(),
             findings,
@@ -431,7 +438,7 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
             .map(|(number, found)| FindingRow::new(number, found)),
     )?;
     let counts = by_code(&audited.findings);
-    let planar = audited.thresholds.planar();
+    let domain = audited.thresholds.domain();
     writer.write_rows(audited.thresholds.iter().map(|(check, threshold)| {
         let (findings, episodes) = counts.get(check.code).copied().unwrap_or_default();
         CheckRow {
@@ -440,7 +447,7 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
             meaning: check.meaning.to_owned(),
             measure: check.measure.to_owned(),
             threshold: threshold.value,
-            unit: check.unit_of(planar).into(),
+            unit: check.unit_of(domain).into(),
             origin: threshold.origin.as_str().into(),
             derivation: threshold.derivation.clone(),
             findings,
@@ -449,7 +456,7 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
     }))?;
     writer.write_rows(audited.listed.iter().map(|listed| listed.row.clone()))?;
     writer.write_rows(re4_scores::score(&audited.sketches))?;
-    if audited.contacts.is_none() {
+    if domain == Domain::Space {
         writer.write_rows(audited.grasps.iter().cloned())?;
         writer.write_rows(audited.agreements.iter().cloned())?;
     }

@@ -5,9 +5,13 @@ use rayon::prelude::*;
 use re4_artifact::{ArtifactSummary, Cell, Recipe, Stage, Writer};
 use re4_episode::Mode;
 use re4_segment::{
-    Evidence, ModeRow, SegmentError, SegmentRow, Segmented, SpatialEvidence, segment_planar, segment_spatial,
+    ArmEvidence, Evidence, ModeRow, SegmentError, SegmentRow, Segmented, SpatialEvidence, segment_arm, segment_planar,
+    segment_spatial,
 };
+use re4_task::Domain;
 use serde_json::{Map, Value, json};
+
+use crate::inputs::arm::{self, ArmEpisodes};
 
 use crate::inputs::demos::{SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_frames;
@@ -26,12 +30,21 @@ impl Runner {
         let recipe = Recipe::new(Stage::Segment, CODE_VERSION)
             .config(config)?
             .input("episodes", episodes.artifact.key());
-        self.build(&recipe, |writer| {
-            if self.pipeline.task.is_planar() {
+        self.build(&recipe, |writer| match self.pipeline.task.domain() {
+            Domain::Plane => {
                 let demos = read_frames(&episodes.artifact)?;
                 let segment = |demo: &_| segment_planar(demo, config);
                 self.write_modes(demos.len(), (0..).zip(demos).map(Ok), segment, PLANE, writer)
-            } else {
+            }
+            Domain::Arm => {
+                let gripper = arm::gripper(&episodes.artifact, config)?;
+                let demos = ArmEpisodes::open(&episodes.artifact)?;
+                let segment = |demo: &_| segment_arm(demo, config.rule, gripper.as_ref());
+                let mut written = self.write_modes(demos.demos(), demos, segment, ARM, writer)?;
+                written.summary["gripper"] = json!(gripper);
+                Ok(written)
+            }
+            Domain::Space => {
                 let demos = SpatialEpisodes::open(&episodes.artifact)?;
                 let segment = |demo: &_| segment_spatial(demo, config);
                 self.write_modes(demos.demos(), demos, segment, SPACE, writer)
@@ -86,6 +99,8 @@ const PLANE: Counted<Evidence> = &[
     ("frames_in_contact", |e| e.contact == Some(true)),
     ("frames_with_object_moving", |e| e.object_moving == Some(true)),
 ];
+
+const ARM: Counted<ArmEvidence> = &[("frames_with_object_held", |e| e.holds)];
 
 const SPACE: Counted<SpatialEvidence> = &[
     ("frames_with_object_moving", |e| e.object_moving == Some(true)),

@@ -20,7 +20,7 @@ pub(in crate::robomimic) fn refuse_two_arms(reader: &RobomimicReader, env: &EnvA
     let environment = &env.env_name;
     let refuse = |why: String| {
         Hdf5Fault::Other(format!(
-            "its environment {environment} moves two arms ({why}), but only tasks with one arm and a two-finger gripper are supported; give a file of such a task"
+            "its environment {environment} moves two arms ({why}), but only tasks with one arm and a two-finger gripper are supported; give a file of such a task, or audit one arm of it with task = \"arm\" and ingest.arm.arm"
         ))
     };
     if env.robots.len() > 1 {
@@ -54,7 +54,7 @@ pub(in crate::robomimic) fn check_task(env: &EnvArgs, task: Option<RobosuiteTask
     }
     if env.robots.len() > 1 {
         return Err(Hdf5Fault::Other(format!(
-            "its environment {} has {} robots, but only tasks with one arm and a two-finger gripper are supported; give a file of such a task",
+            "its environment {} has {} robots, but only tasks with one arm and a two-finger gripper are supported; give a file of such a task, or audit one arm of it with task = \"arm\" and ingest.arm.arm",
             env.env_name,
             env.robots.len()
         )));

@@ -21,7 +21,7 @@ pub(super) fn json(audit: &Audit) -> Value {
             .binary_search_by_key(&episode, |demo| demo.episode)
             .unwrap_or_default()
     };
-    json!({
+    let mut data = json!({
         "dataset": audit.dataset,
         "frame_seconds": audit.frame_seconds,
         "length": { "unit": audit.length.unit, "factor": audit.length.factor },
@@ -40,7 +40,11 @@ pub(super) fn json(audit: &Audit) -> Value {
         "panels": audit.panels.iter().map(panel).collect::<Vec<_>>(),
         "scores": scores(&audit.scores, place),
         "shots": shots(&audit.shots),
-    })
+    });
+    if !audit.object {
+        data["object"] = json!(false);
+    }
+    data
 }
 
 fn severity(severity: Severity) -> usize {

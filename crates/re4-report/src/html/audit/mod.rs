@@ -43,6 +43,8 @@ pub struct Audit {
     pub segments: Vec<Segment>,
     /// The grasps of all demonstrations; for Push-T, the frames at which contact begins.
     pub grasps: Vec<Grasp>,
+    /// Whether the demonstrations have an object. Otherwise, there are neither grasps nor measurements of the object.
+    pub object: bool,
     /// Outline of the object in its own frame; only for a planar object, whose grasps have no height.
     pub outline: Option<Vec<[f64; 2]>>,
     /// Numbers of steps by contact and motion of the object, if contacts were recorded.

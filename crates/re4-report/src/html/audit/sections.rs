@@ -264,6 +264,10 @@ pub(super) fn workbench(audit: &Audit) -> Markup {
 fn segment_columns(audit: &Audit) -> Vec<String> {
     let unit = &audit.length.unit;
     let mut columns = vec!["Frames".to_owned(), "Length".to_owned()];
+    if !audit.object {
+        columns.extend(["Opening, %".to_owned(), format!("Path, {unit}")]);
+        return columns;
+    }
     if audit.outline.is_none() {
         columns.extend(["Settled at".to_owned(), format!("Fingers, {unit}")]);
     }
@@ -289,11 +293,17 @@ pub(super) fn dataset(audit: &Audit) -> Markup {
     html! {
         section #dataset aria-labelledby="dataset-title" {
             div.heading {
-                h2 #dataset-title { @if planar { "Where contact begins" } @else { "Where the object is grasped" } }
+                h2 #dataset-title {
+                    @if !audit.object { "No object" }
+                    @else if planar { "Where contact begins" }
+                    @else { "Where the object is grasped" }
+                }
                 ul.legend #grasp-legend {}
             }
             p.note {
-                @if audit.grasps.is_empty() {
+                @if !audit.object {
+                    "This dataset has no pose of an object, so the page cannot show where it is grasped. The table of checks lists what could not be checked, with the reasons."
+                } @else if audit.grasps.is_empty() {
                     @if planar { "No contact begins in any demonstration of this audit, so there is nothing to show." }
                     @else { "No demonstration of this audit has a transfer segment, so there is nothing to show." }
                 } @else if planar {

@@ -41,6 +41,7 @@ fn audit() -> Audit {
         findings: vec![finding(0), finding(7)],
         segments: Vec::new(),
         grasps: Vec::new(),
+        object: true,
         outline: None,
         contacts: None,
         conventions: Vec::new(),

@@ -104,7 +104,9 @@ pub(super) fn summary(audited: &Audited) -> Value {
         "episode_frames": quartiles(&lengths),
         "modes": modes,
     });
-    if let Some(contacts) = audited.contacts {
+    if let Some(arm) = &audited.arm {
+        answer["arm"] = arm.clone();
+    } else if let Some(contacts) = audited.contacts {
         answer["contacts"] = contacts.to_json();
     } else {
         answer["grasps"] = grasps(&audited.grasps);

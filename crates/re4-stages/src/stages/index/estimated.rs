@@ -115,7 +115,7 @@ impl Runner {
         modes: &Artifact,
         checks: &[String],
     ) -> Result<BTreeMap<u32, u32>> {
-        let known = CHECKS.iter().filter(|check| check.applies_to(false));
+        let known = CHECKS.iter().filter(|check| check.applies_to(re4_task::Domain::Space));
         check_names(checks, known.map(|check| check.code))?;
         let findings = self.findings(episodes, modes, &|demo| without_object(demo, &self.pipeline.segment))?;
         let ends = findings

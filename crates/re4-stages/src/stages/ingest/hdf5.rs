@@ -7,10 +7,11 @@ use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, Key, Store};
 use re4_fault::{ensure, fault};
 use re4_ingest::robomimic::{
-    Access, Comparison, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources,
+    Access, ArmSource, Comparison, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources,
 };
 use re4_ingest::{DemoSource as _, IngestError, LeftOut};
 use re4_robosuite::env_args::EnvArgs;
+use re4_task::Task;
 use serde_json::{Value, json};
 
 use super::rendered::{self, Rendering};
@@ -61,7 +62,7 @@ impl Runner {
             let hashing = single_file.then(|| scope.spawn(|| hash(&sources)));
             let direct = self.open_direct(&sources);
             let here = direct.as_ref().ok().and_then(Option::as_ref);
-            let here = here.filter(|_| section.render.is_empty());
+            let here = here.filter(|_| section.render.is_empty() && self.pipeline.task != Task::Arm);
             let learned = here.map(|reader| Interpreter::learn(reader, &reading(&self.pipeline)));
             (hashing.map(std::thread::ScopedJoinHandle::join), direct, learned)
         });
@@ -203,13 +204,32 @@ fn make(
 ) -> Result<Artifact> {
     let files = inputs.reader.sources().clone();
     let compare = inputs.compare.clone();
-    let source = open(request, inputs).or_else(|error| {
-        interrupt.check(STAGE)?;
+    let or_changed = |error: anyhow::Error| -> anyhow::Error {
         // If a file changed while it was read, that is the error to report, not its consequences.
-        files.unchanged()?;
-        compare.map_or(Ok(()), |compare| compare.unchanged())?;
-        Err(error)
-    })?;
+        let unchanged = || -> Result<()> {
+            interrupt.check(STAGE)?;
+            files.unchanged()?;
+            Ok(compare.as_ref().map_or(Ok(()), Sources::unchanged)?)
+        };
+        unchanged().err().unwrap_or(error)
+    };
+    let store = || Store::open(&request.artifacts);
+    if request.pipeline.task == Task::Arm {
+        let source = open_arm(request, inputs.reader).map_err(or_changed)?;
+        let recipe = request.recipe(json!(source.info()))?;
+        let ingest = Ingest {
+            section: &request.pipeline.ingest,
+            source: &request.source,
+            compare: None,
+            conventions: source.conventions(),
+            images: Images::Recorded,
+            threads: request.threads,
+            interrupt,
+            progress,
+        };
+        return ingest.publish(&source, &store()?, &recipe);
+    }
+    let source = open(request, inputs).map_err(or_changed)?;
     let recipe = request.recipe(json!(source.info()))?;
     let ingest = Ingest {
         section: &request.pipeline.ingest,
@@ -224,11 +244,24 @@ fn make(
         interrupt,
         progress,
     };
-    ingest.publish(&source, &Store::open(&request.artifacts)?, &recipe)
+    ingest.publish(&source, &store()?, &recipe)
+}
+
+fn open_arm(request: &Request, reader: RobomimicReader) -> Result<ArmSource> {
+    let cameras = cameras(request, &reader)?;
+    Ok(ArmSource::new(reader, &request.pipeline.ingest.arm, cameras)?)
+}
+
+/// The cameras whose recorded images are ingested.
+fn cameras(request: &Request, reader: &RobomimicReader) -> Result<Vec<String>> {
+    let section = &request.pipeline.ingest;
+    if !section.images || !section.render.is_empty() {
+        return Ok(Vec::new());
+    }
+    Ok(reader.cameras(section.cameras.as_deref())?)
 }
 
 fn open(request: &Request, inputs: Inputs) -> Result<RobomimicSource> {
-    let section = &request.pipeline.ingest;
     let Inputs {
         reader,
         compare,
@@ -237,11 +270,7 @@ fn open(request: &Request, inputs: Inputs) -> Result<RobomimicSource> {
     } = inputs;
     let learned = learned.unwrap_or_else(|| Interpreter::learn(&reader, &reading(&request.pipeline)))?;
     let comparison = compare.map(|sources| Comparison::open(&sources, access)).transpose()?;
-    let cameras = if section.images && section.render.is_empty() {
-        reader.cameras(section.cameras.as_deref())?
-    } else {
-        Vec::new()
-    };
+    let cameras = cameras(request, &reader)?;
     Ok(RobomimicSource::new(reader, learned, comparison, cameras)?)
 }
 

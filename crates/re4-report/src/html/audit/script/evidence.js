@@ -259,6 +259,7 @@ const markFinding = () => {
 const segmentCells = (segment) => {
   const outcome = GRASPS_OF[segment.demo].find((grasp) => grasp.segment === segment.number)?.outcome ?? "";
   const planar = REPORT.outline !== null;
+  if (REPORT.object === false) return [[`${segment.first}–${segment.end - 1}`], [String(segment.end - segment.first)], [segment.separation === null ? "–" : digits(100 * segment.separation, 0)], [lengthWords(segment.displacement)]];
   const angle = segment.residual_rotation === null ? "–" : digits((segment.residual_rotation * 180) / Math.PI, 2);
   return [
     [`${segment.first}–${segment.end - 1}`],
@@ -288,7 +289,7 @@ const showDemo = () => {
   byId("evidence").dataset.demo = DEMOS.number[demo];
   const summary = [
     counted(DEMOS.frames[demo], "frame"), `${(DEMOS.frames[demo] * REPORT.frame_seconds).toFixed(1)} s`, `${Math.round(100 * transferFraction(demo))} % transfer`,
-    counted(DEMOS.segments[demo], "segment"), `object displacement ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit}`, severityWords(demo),
+    counted(DEMOS.segments[demo], "segment"), ...(REPORT.object === false ? [] : [`object displacement ${lengthWords(DEMOS.displacement[demo])} ${LENGTH.unit}`]), severityWords(demo),
   ];
   byId("evidence-summary").textContent = summary.join(" · ");
   showFindings();
