@@ -5,6 +5,7 @@
 mod common;
 mod made;
 
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -179,7 +180,7 @@ fn samples_equal_the_store_that_they_were_converted_from() {
                     continue;
                 };
                 assert!((pose.x - recorded.x).hypot(pose.y - recorded.y) < 1e-4, "{name}");
-                assert!(periodic_distance(pose.theta, recorded.theta) < 1e-5, "{name}");
+                assert!(periodic_distance(pose.theta, recorded.theta, TAU) < 1e-5, "{name}");
             }
         }
         if name.contains("keypoints") {
@@ -226,7 +227,7 @@ fn conventions_are_proven_with_their_evidence() {
         for (frame, pose) in planar(frames).iter().zip(poses) {
             let found = frame.object.unwrap();
             assert!((found.x - pose.x).hypot(found.y - pose.y) < 1e-4);
-            assert!(periodic_distance(found.theta, pose.theta) < 1e-5);
+            assert!(periodic_distance(found.theta, pose.theta, TAU) < 1e-5);
         }
     }
     assert_eq!(found[0].0.filter_keys, ["train"]);
