@@ -353,7 +353,9 @@ impl Reading {
                 )
             });
             let [next, same] = &by;
-            let (of, judged, other) = if same.1.over.len() < next.1.over.len() {
+            // Where the block hardly moves, both are below the limit.
+            let worse = |judged: &Judged| (judged.over.len(), judged.largest);
+            let (of, judged, other) = if worse(&same.1) < worse(&next.1) {
                 (same.0, &same.1, &next.1)
             } else {
                 (next.0, &next.1, &same.1)
