@@ -18,7 +18,7 @@ use crate::lerobot::{LerobotKeys, Wanted, error_of, sentence, width};
 use crate::tables::Convention;
 use crate::warning::{Warning, WarningCode};
 
-/// Frames in which conventions are proven by residuals are all frames of all episodes; this share of the episodes may contradict.
+/// Fraction of the episodes that may contradict a convention; if there are more, it is the dataset that contradicts.
 const MAX_CONTRADICTIONS: f64 = 0.5;
 
 /// The features that are used, by name.
@@ -160,7 +160,7 @@ pub(crate) fn read(
                 _ => "absolute".into(),
             },
             basis: "proven".into(),
-            evidence: "share of the change in the agent's steps that its targets do not explain".into(),
+            evidence: "fraction of the change in the agent's steps that its targets do not explain".into(),
             residual: Some(1.0 - explained),
             runner_up: None,
             threshold: Some(0.5),

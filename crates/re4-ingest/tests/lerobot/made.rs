@@ -116,9 +116,9 @@ fn episode(fps: f64, features: &[Feature], number: usize, rows: std::ops::Range<
         } else {
             let mut lists = ListBuilder::new(Float32Builder::new());
             for frame in values.chunks(feature.width) {
-                frame
-                    .iter()
-                    .for_each(|&value| lists.values().append_value(value as f32));
+                for &value in frame {
+                    lists.values().append_value(value as f32);
+                }
                 lists.append(true);
             }
             Arc::new(lists.finish())
