@@ -66,6 +66,22 @@ impl Description {
         self.cannot(&COMMANDS, missing);
     }
 
+    /// The description as lines, each with its indentation.
+    pub fn lines(&self) -> Vec<(usize, String)> {
+        let line = |indent: usize, name: &str, value: &str| (indent, format!("{name:<12} {value}"));
+        let mut lines = vec![(0, self.format.clone())];
+        lines.extend(self.facts.iter().map(|fact| line(2, &fact.name, &fact.value)));
+        lines.extend(self.notes.iter().map(|note| line(2, "note", note)));
+        lines.push(match &self.task {
+            Some(task) => line(2, "pipeline", &format!("task = \"{task}\"")),
+            None => line(2, "pipeline", "no task fits"),
+        });
+        let answer = |possible: bool| if possible { "yes" } else { "no" };
+        let uses = self.uses.iter();
+        lines.extend(uses.map(|each| line(4, &each.command, &format!("{}: {}", answer(each.possible), each.how))));
+        lines
+    }
+
     fn set(&mut self, command: &str, possible: bool, how: String) {
         self.uses.push(Use {
             command: command.to_owned(),

@@ -30,7 +30,7 @@ pub use pipeline::{
 };
 pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
-pub use runner::{Built, Runner, Session, Settings, warning_text};
+pub use runner::{Built, Runner, Session, Settings, leaves, warning_text};
 pub use stages::{
     AnyLivePolicy, BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
     LivePolicy, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, describe,

@@ -316,6 +316,27 @@ fn seconds_since_1970() -> u64 {
     since.map_or(0, |since| since.as_secs())
 }
 
+/// The values in nested JSON objects, each with its path separated by dots.
+pub fn leaves(value: &Value) -> Vec<(String, &Value)> {
+    let Value::Object(map) = value else {
+        return Vec::new();
+    };
+    let mut found = Vec::new();
+    for (name, value) in map {
+        match value {
+            Value::Object(inner) if !inner.is_empty() => {
+                found.extend(
+                    leaves(value)
+                        .into_iter()
+                        .map(|(rest, leaf)| (format!("{name}.{rest}"), leaf)),
+                );
+            }
+            leaf => found.push((name.clone(), leaf)),
+        }
+    }
+    found
+}
+
 /// A warning of a manifest in one line: its code and its message.
 pub fn warning_text(warning: &Value) -> String {
     let word = |key: &str| warning.get(key).and_then(Value::as_str).unwrap_or_default();

@@ -449,9 +449,12 @@ fn vector(
     let plain = elements.windows(2).all(|pair| pair[0].feature == pair[1].feature);
     let names: Vec<String> = elements
         .iter()
-        .map(|element| match plain || element.name.starts_with(&element.feature) {
-            true => element.name.clone(),
-            false => format!("{}.{}", element.feature, element.name),
+        .map(|element| {
+            if plain || element.name.starts_with(&element.feature) {
+                element.name.clone()
+            } else {
+                format!("{}.{}", element.feature, element.name)
+            }
         })
         .collect();
     for ((element, role), name) in elements.iter_mut().zip(roles(&names)).zip(names) {

@@ -13,6 +13,9 @@ use crate::left_out::OnBad;
 use crate::pusht::{PushtOptions, from_lerobot};
 use crate::source::Stop;
 
+/// Features that every dataset has.
+const COUNTS: [&str; 5] = ["timestamp", "frame_index", "episode_index", "index", "task_index"];
+
 /// Opens a dataset as ingest does, with all cameras, and finds out which task it fits.
 ///
 /// # Errors
@@ -69,8 +72,9 @@ fn facts(dataset: &Dataset, about: &mut Description) -> Result<(), LerobotError>
     for task in summary.tasks {
         about.fact("task", task);
     }
-    for feature in summary.features {
-        about.fact("feature", feature);
+    let counts = |feature: &&String| COUNTS.iter().any(|name| feature.starts_with(&format!("{name}:")));
+    for feature in summary.features.iter().filter(|feature| !counts(feature)) {
+        about.fact("feature", feature.as_str());
     }
     for camera in summary.cameras {
         about.fact(
@@ -102,9 +106,11 @@ fn pusht(dataset: &Dataset, keys: &LerobotKeys, stop: Stop<'_>, about: &mut Desc
         }
     };
     for row in &conventions {
-        let residual = row.residual.map_or_else(String::new, |value| {
-            format!(" ({}: {value:.2e} {})", row.evidence, row.unit.0)
-        });
+        let unit = if &*row.unit == "1" { "" } else { " px" };
+        let residual = match (row.residual, row.threshold) {
+            (Some(value), Some(limit)) => format!(", residual {value:.1e}{unit}, at most {limit}{unit}"),
+            _ => String::new(),
+        };
         about.fact(
             "convention",
             format!("{} = {}{residual}", row.convention.0, row.value.0),

@@ -286,6 +286,7 @@ pub(crate) fn fault_of(faults: &Faults) -> Fault {
 }
 
 /// The error of this crate.
+#[expect(clippy::needless_pass_by_value, reason = "a conversion for map_err")]
 pub(crate) fn error_of(error: LerobotError) -> IngestError {
     fault_of(&error.faults).of(&error.dataset)
 }

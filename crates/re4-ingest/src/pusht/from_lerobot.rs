@@ -18,7 +18,7 @@ use crate::lerobot::{LerobotKeys, Wanted, error_of, sentence, width};
 use crate::tables::Convention;
 use crate::warning::{Warning, WarningCode};
 
-/// Frames in which conventions are proven by residuals are all frames of all episodes; this share of the episodes may contradict.
+/// Fraction of the episodes that may contradict a convention; if there are more, it is the dataset that contradicts.
 const MAX_CONTRADICTIONS: f64 = 0.5;
 
 /// The features that are used, by name.
@@ -160,7 +160,7 @@ pub(crate) fn read(
                 _ => "absolute".into(),
             },
             basis: "proven".into(),
-            evidence: "share of the change in the agent's steps that its targets do not explain".into(),
+            evidence: "fraction of the change in the agent's steps that its targets do not explain".into(),
             residual: Some(1.0 - explained),
             runner_up: None,
             threshold: Some(0.5),
@@ -353,7 +353,9 @@ impl Reading {
                 )
             });
             let [next, same] = &by;
-            let (of, judged, other) = if same.1.over.len() < next.1.over.len() {
+            // Where the block hardly moves, both are below the limit.
+            let worse = |judged: &Judged| (judged.over.len(), judged.largest);
+            let (of, judged, other) = if worse(&same.1) < worse(&next.1) {
                 (same.0, &same.1, &next.1)
             } else {
                 (next.0, &next.1, &same.1)

@@ -74,6 +74,8 @@ impl Layout {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use proptest::prelude::*;
     use re4_geometry::periodic_distance;
     use re4_sim::tee_vertices;
@@ -92,13 +94,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_pose_is_found_from_its_corners(x in 0.0..512.0, y in 0.0..512.0, theta in 0.0..6.28) {
+        fn a_pose_is_found_from_its_corners(x in 0.0..512.0, y in 0.0..512.0, theta in 0.0..TAU) {
             let pose = Pose2::new(x, y, theta);
             for layout in Layout::ALL {
                 let (found, residual) = layout.fit(&values(pose, layout));
                 prop_assert!(residual < 1e-9);
                 prop_assert!((found.x - x).hypot(found.y - y) < 1e-9);
-                prop_assert!(periodic_distance(found.theta, theta, std::f64::consts::TAU) < 1e-12);
+                prop_assert!(periodic_distance(found.theta, theta, TAU) < 1e-12);
                 let other = if layout == Layout::Pairs { Layout::Halves } else { Layout::Pairs };
                 prop_assert!(other.fit(&values(pose, layout)).1 > 10.0);
             }
@@ -106,7 +108,7 @@ mod tests {
 
         #[test]
         fn no_other_pose_is_nearer(
-            x in 100.0..400.0, y in 100.0..400.0, theta in 0.0..6.28,
+            x in 100.0..400.0, y in 100.0..400.0, theta in 0.0..TAU,
             noise in proptest::array::uniform16(-3.0..3.0), step in proptest::array::uniform3(-0.1..0.1),
         ) {
             let recorded: [f64; VALUES] = std::array::from_fn(|i| values(Pose2::new(x, y, theta), Layout::Pairs)[i] + noise[i]);

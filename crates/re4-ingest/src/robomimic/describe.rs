@@ -8,6 +8,9 @@ use crate::demos::Info;
 use crate::describe::{Description, counted};
 use crate::error::IngestError;
 
+/// Demonstrations that are read to find one with a model.
+const LOOKED_AT: usize = 3;
+
 /// Proves the conventions of an opened file as ingest does.
 ///
 /// # Errors
@@ -79,10 +82,15 @@ pub fn describe(reader: &RobomimicReader) -> Result<Description, IngestError> {
             counted(cameras.len(), "camera")
         )
     };
-    if task.is_some() {
-        about.can("rollout", format!("variant = \"state\"; {images}"));
-    } else {
-        about.cannot(&["rollout"], &RobosuiteTask::known());
+    let model = |demo| reader.read(demo).ok().map(|demo| demo.model.is_some());
+    let has_models = reader.demos().iter().take(LOOKED_AT).find_map(model) == Some(true);
+    match task {
+        None => about.cannot(&["rollout"], &RobosuiteTask::known()),
+        Some(_) if !has_models => about.cannot(
+            &["rollout"],
+            "the demonstrations have no attribute model_file, from which the scenes are built",
+        ),
+        Some(_) => about.can("rollout", format!("variant = \"state\"; {images}")),
     }
     Ok(about)
 }

@@ -116,9 +116,9 @@ fn episode(fps: f64, features: &[Feature], number: usize, rows: std::ops::Range<
         } else {
             let mut lists = ListBuilder::new(Float32Builder::new());
             for frame in values.chunks(feature.width) {
-                frame
-                    .iter()
-                    .for_each(|&value| lists.values().append_value(value as f32));
+                for &value in frame {
+                    lists.values().append_value(value as f32);
+                }
                 lists.append(true);
             }
             Arc::new(lists.finish())
@@ -151,7 +151,11 @@ impl Pushes {
                 let target = Point2::new(256.0 + 150.0 * (0.7 * t).sin(), 256.0 + 150.0 * (1.1 * t).cos());
                 states.extend([agent.x, agent.y]);
                 actions.extend([target.x, target.y]);
-                poses.push(Pose2::new(200.0 + 2.0 * frame as f64, 240.0, GOAL.theta + 0.02 * t));
+                poses.push(Pose2::new(
+                    256.0 + 90.0 * (1.25 * t).sin(),
+                    240.0,
+                    GOAL.theta + 0.02 * t,
+                ));
                 let pull = |to: f64, at: f64, before: f64| 0.314 * (to - at) + 0.234 * before;
                 step = Point2::new(pull(target.x, agent.x, step.x), pull(target.y, agent.y, step.y));
                 agent = Point2::new(agent.x + step.x, agent.y + step.y);

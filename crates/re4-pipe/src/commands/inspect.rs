@@ -7,7 +7,7 @@ use re4_artifact::{Artifact, ColumnSpec, MANIFEST_NAME, Table, cell_text, json_d
 use re4_fault::ensure;
 use re4_ingest::Description;
 use re4_report::{is_spatial, planar_rollout, rollout_image};
-use re4_stages::{Interrupt, Notes, describe};
+use re4_stages::{Interrupt, Notes, describe, leaves};
 use serde_json::{Value, json};
 
 use super::Outcome;
@@ -92,29 +92,12 @@ fn dataset(arguments: &InspectArguments, console: Console, about: &Description) 
         "cannot show rows or images of {}: it is a dataset, not an artifact", arguments.path.display();
         "ingest it, then inspect the artifact"
     );
-    let width = width();
-    let mut text = format!("{}\n", about.format);
-    let mut line = |name: &str, value: &str, indent: usize| {
-        let line = format!("{name:<12} {value}");
-        text += &paragraph(&line, indent, 13, width);
-        text.push('\n');
-    };
-    for fact in &about.facts {
-        line(&fact.name, &fact.value, 2);
-    }
-    for note in &about.notes {
-        line("note", note, 2);
-    }
-    match &about.task {
-        Some(task) => line("pipeline", &format!("task = \"{task}\""), 2),
-        None => line("pipeline", "no task fits", 2),
-    }
-    for each in &about.uses {
-        let answer = if each.possible { "yes" } else { "no" };
-        line(&each.command, &format!("{answer}: {}", each.how), 4);
-    }
+    let lines = about.lines().into_iter();
+    let text: Vec<String> = lines
+        .map(|(indent, line)| paragraph(&line, indent, 13, width()))
+        .collect();
     console.answer(&json!({ "path": arguments.path, "dataset": about }))?;
-    console.say(text.trim_end())?;
+    console.say(&text.join("\n"))?;
     Ok(Outcome::Done)
 }
 
@@ -128,27 +111,6 @@ fn described(column: &ColumnSpec) -> String {
     let null = if column.nullable { ", may be null" } else { "" };
     let kind = column.kind.as_str();
     format!("{:<24} {kind}{unit}{null}: {}", column.name, column.description)
-}
-
-/// The values in nested JSON objects, each with its path separated by dots.
-fn leaves(value: &Value) -> Vec<(String, &Value)> {
-    let Value::Object(map) = value else {
-        return Vec::new();
-    };
-    let mut found = Vec::new();
-    for (name, value) in map {
-        match value {
-            Value::Object(inner) if !inner.is_empty() => {
-                found.extend(
-                    leaves(value)
-                        .into_iter()
-                        .map(|(rest, leaf)| (format!("{name}.{rest}"), leaf)),
-                );
-            }
-            leaf => found.push((name.clone(), leaf)),
-        }
-    }
-    found
 }
 
 /// Maximum width of a value, in characters.

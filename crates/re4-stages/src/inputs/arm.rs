@@ -42,7 +42,7 @@ impl Iterator for ArmEpisodes {
 
     fn next(&mut self) -> Option<Self::Item> {
         let rows = self.rows.next()?;
-        Some(rows.and_then(|(number, rows)| {
+        Some(rows.map_err(Into::into).and_then(|(number, rows)| {
             let name = self.names.get(number as usize).cloned().or_fault(|| {
                 fault!(
                     "cannot read {}: table frames refers to demonstration {number}, which table demos does not contain",

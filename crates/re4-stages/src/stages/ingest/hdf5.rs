@@ -46,7 +46,7 @@ impl Runner {
         };
         let mut request = Request {
             hash: None,
-            format: Format::Hdf5(hdf5.clone()),
+            format: Format::Hdf5(Box::new(hdf5.clone())),
             gl,
             source,
             pipeline: self.pipeline.clone(),
@@ -83,7 +83,7 @@ impl Runner {
             None => hash(&sources)?,
         });
         hdf5.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
-        request.format = Format::Hdf5(hdf5);
+        request.format = Format::Hdf5(Box::new(hdf5));
         let recipe = request.recipe(Value::Null)?;
         if let Some(built) = self.unchanged(&recipe, start)? {
             self.refuse_left_out(&built.artifact, &request.source)?;

@@ -117,7 +117,7 @@ pub(crate) struct Question {
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Format {
     /// An HDF5 file.
-    Hdf5(Hdf5),
+    Hdf5(Box<Hdf5>),
     /// A LeRobot dataset, with the identity of the files that were hashed.
     Lerobot(Option<LerobotFiles>),
 }
