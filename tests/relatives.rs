@@ -273,40 +273,39 @@ fn mimicgen_names_the_object() {
     assert_eq!(object.convention("object").0, "RoundNut");
 }
 
-/// Without observations of the object and without states, its pose is that in `datagen_info`.
+/// Settings for a file without states, from which the frame of `robot0_eef_quat` is not known.
+const FRAMES: &str = "--set ingest.conventions.eef_quaternion=xyzw --set ingest.conventions.eef_orientation=hand_body";
+
+/// Without states, the pose of the object is that in `datagen_info`, and `eef_pose` proves the settings.
 #[test]
 fn mimicgen_without_states() {
     let Some(files) = Files::new() else { return };
     let sample = repository().join("data/can-sample.hdf5");
-    let settings = "--set|env=PickPlaceCan|--set|name=Can";
-    let original = files.read(
-        "robosuite",
-        &files.make(
-            "mimicgen",
-            &sample,
-            &format!("{settings}|--set|env=Stack_D0|--set|name=cubeA|--set|target=cubeB"),
-        ),
-        "",
-    );
-    let can = files.read("can", &sample, &first());
-    assert_eq!(original.convention("poses").0, "datagen_info");
-    assert_eq!(original.convention("object").0, "cubeA");
-    // Matrices have no sign of a quaternion.
-    let quaternions = ["reward", "done", "object_q"];
-    assert!(difference(&original.frames, &can.frames, &quaternions) < 1e-12);
-    for row in (0..can.frames.episode.len()).step_by(7) {
-        let angle = original
-            .frames
-            .rotation("object", row)
-            .angle_to(&can.frames.rotation("object", row));
-        assert!(angle < 1e-7, "{angle}");
-    }
     let made = files.make(
         "mimicgen",
         &sample,
-        "--set|env=StackThree_D1|--set|name=cubeA|--set|target=cubeC",
+        "--set|env=Stack_D0|--set|name=cubeA|--set|target=cubeB",
     );
-    files.all_stages("robosuite", &made, "--set ingest.object=cubeA");
+    let sentence = files.run("ingest", "robosuite", &made, "").refused();
+    assert!(sentence.contains("eef_quaternion = \"xyzw\""), "{sentence}");
+    let wrong = FRAMES.replace("hand_body", "grip_site");
+    let sentence = files.run("ingest", "robosuite", &made, &wrong).refused();
+    assert!(sentence.contains("datagen_info/eef_pose is neither"), "{sentence}");
+    let read = files.read("robosuite", &made, FRAMES);
+    let can = files.read("can", &sample, &first());
+    assert_eq!(read.convention("poses").0, "datagen_info");
+    assert_eq!(read.convention("object").0, "cubeA");
+    assert_eq!(read.convention("datagen_eef_pose"), ("grip_site", "proven"));
+    // Matrices have no sign of a quaternion.
+    let others = ["reward", "done", "object_q"];
+    assert!(difference(&read.frames, &can.frames, &others) < 1e-12);
+    for row in (0..can.frames.episode.len()).step_by(7) {
+        let [ours, theirs] = [&read, &can].map(|read| read.frames.rotation("object", row));
+        assert!(ours.angle_to(&theirs) < 1e-7, "{row}");
+    }
+    let several = "--set|env=StackThree_D1|--set|name=cubeA|--set|target=cubeC";
+    let made = files.make("mimicgen", &sample, several);
+    files.all_stages("robosuite", &made, &format!("--set ingest.object=cubeA {FRAMES}"));
 }
 
 #[test]
@@ -730,7 +729,7 @@ fn damaged_files_are_refused_by_name() {
         &square,
         "--set|env=Stack_D0|--set|name=cubeA|--set|stateless=1|--mutate|eef_elsewhere",
     );
-    let sentence = files.run("ingest", "robosuite", &made, "").refused();
+    let sentence = files.run("ingest", "robosuite", &made, FRAMES).refused();
     assert!(sentence.contains("datagen_info/eef_pose is neither"), "{sentence}");
     // Names of objects that are swapped: the tables do not depend on them, and the row names the one that has the object's poses.
     let made = files.make("mimicgen", &square, "--mutate|object_names_swapped");

@@ -126,7 +126,7 @@ pub struct Settings {
     /// Direction in which delta actions rotate the end effector.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_rotation: Option<ActionRotation>,
-    /// Frame of absolute actions, and of the delta actions of robosuite 1.5 if the robot's base is turned.
+    /// Frame of absolute actions, and of the delta actions of robosuite 1.5 if the robot's base is rotated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub action_frame: Option<ActionFrame>,
     /// Range of gripper commands.
