@@ -135,6 +135,8 @@ fn a_target_proves_which_way_the_gripper_closes() {
         (gripper.closes, gripper.basis),
         (Closes::Decreasing, Proof::KeptFromTarget)
     );
+    // The targets reach from 0 to 1, so the shut opening is known although the gripper never gets there.
+    assert_eq!(gripper.shut, Some(0.0));
     let mirrored: Vec<_> = episodes.iter().map(|own| transformed(own, -1.0, 0.0)).collect();
     let gripper = prove(&mirrored, &Known::default(), &OpeningConfig::default()).unwrap();
     assert_eq!(
