@@ -443,9 +443,12 @@ impl ArmFacts {
                     None => (&frames[place.saturating_sub(1)], now),
                 };
                 self.groups.iter().zip(&self.typical).all(|(group, typical)| {
-                    let part = |&element: &usize| match self.absolute {
-                        true => value(to, element) - value(from, element),
-                        false => value(now, element),
+                    let part = |&element: &usize| {
+                        if self.absolute {
+                            value(to, element) - value(from, element)
+                        } else {
+                            value(now, element)
+                        }
                     };
                     norm(&group.iter().map(part).collect::<Vec<_>>()) < IDLE * typical
                 })
@@ -458,22 +461,23 @@ impl ArmFacts {
     /// command this element.
     pub(crate) fn is_commanded(&self, frames: &[ArmColumns], step: usize, element: usize) -> bool {
         let positions = |row: &&SignalRow| row.vector == SignalVector::State && row.role == SignalRole::EefPosition;
-        let axis = self.arm.as_ref().and_then(|arm| match arm.joints.is_empty() {
-            true => self
-                .signals
-                .iter()
-                .filter(positions)
-                .position(|row| row.index as usize == element),
-            false => arm.joints.iter().position(|joint| *joint == element),
+        let axis = self.arm.as_ref().and_then(|arm| {
+            if arm.joints.is_empty() {
+                let mut own = self.signals.iter().filter(positions);
+                own.position(|row| row.index as usize == element)
+            } else {
+                arm.joints.iter().position(|joint| *joint == element)
+            }
         });
         let command = axis.and_then(|axis| self.arm.as_ref()?.commands.get(axis));
         let Some(command) = command else { return true };
         let group = self.groups.iter().position(|group| group.contains(command));
         let typical = group.and_then(|group| self.typical.get(group)).copied().unwrap_or(0.0);
         let value = |frame: usize| frames.get(frame).and_then(|frame| frame.action.get(*command)).copied();
-        let size = match self.absolute {
-            true => value(step + 1).zip(value(step)).map(|(next, now)| next - now),
-            false => value(step),
+        let size = if self.absolute {
+            value(step + 1).zip(value(step)).map(|(next, now)| next - now)
+        } else {
+            value(step)
         };
         size.is_some_and(|size| size.abs() >= IDLE * typical)
     }

@@ -56,10 +56,10 @@ fn prove(episodes: &[ArmEpisode], known: &Known, config: &OpeningConfig) -> Resu
     Gripper::prove(&observations, known, config)
 }
 
-fn closes(closes: Closes) -> OpeningConfig {
+fn closes(closes: Closes, shut: f64) -> OpeningConfig {
     OpeningConfig {
         closes: Some(closes),
-        ..OpeningConfig::default()
+        shut: Some(shut),
     }
 }
 
@@ -204,11 +204,11 @@ proptest! {
                 episode(&openings, Some(&commands))
             })
             .collect();
-        let own = prove(&episodes, &Known::default(), &closes(Closes::Decreasing)).unwrap();
+        let own = prove(&episodes, &Known::default(), &closes(Closes::Decreasing, 0.0)).unwrap();
         let factor = if mirrored { -factor } else { factor };
         let others: Vec<_> = episodes.iter().map(|own| transformed(own, factor, offset)).collect();
         let setting = if mirrored { Closes::Increasing } else { Closes::Decreasing };
-        let other = prove(&others, &Known::default(), &closes(setting)).unwrap();
+        let other = prove(&others, &Known::default(), &closes(setting, offset)).unwrap();
         prop_assert_eq!(modes(&episodes, &own), modes(&others, &other));
     }
 

@@ -111,7 +111,7 @@ fn common(names: &[&str]) -> usize {
         .char_indices()
         .filter(|(_, letter)| matches!(letter, '_' | '.' | '/'));
     let ends = separators.map(|(at, letter)| at + letter.len_utf8());
-    ends.filter(|end| *end < first.len() && same(*end)).last().unwrap_or(0)
+    ends.rev().find(|end| *end < first.len() && same(*end)).unwrap_or(0)
 }
 
 /// Names up to this length are shown whole.
