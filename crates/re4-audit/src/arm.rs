@@ -206,7 +206,9 @@ fn frozen_signals<'a>(frames: &[ArmColumns], facts: &'a ArmFacts) -> Vec<(Range<
         let same = |step: usize, element: usize| frames[step].state.get(element) == frames[step + 1].state.get(element);
         for &(element, name) in &group {
             let frozen = (0..frames.len().saturating_sub(1)).map(|step| {
-                same(step, element) && group.iter().any(|(other, _)| *other != element && !same(step, *other))
+                same(step, element)
+                    && facts.is_commanded(frames, step, element)
+                    && group.iter().any(|(other, _)| *other != element && !same(step, *other))
             });
             found.extend(runs(frozen, 1).into_iter().map(|run| (run.start..run.end + 1, name)));
         }

@@ -15,8 +15,8 @@ use crate::thresholds::Dataset;
 /// state's variance.
 const ABSOLUTE: f64 = 0.25;
 
-/// A number is the limit of an element of the actions if at least this many frames, in two demonstrations, reach it exactly and none
-/// goes beyond.
+/// A number is the limit of an element of the actions if at least this many frames reach it exactly and none goes beyond, in two
+/// demonstrations, or with the same size in two elements or directions: a controller has the same limits for all of them.
 const AT_LIMIT: u32 = 3;
 
 /// A command is idle if it is shorter than this fraction of the largest commands: a twentieth of a controller's limit.
@@ -214,13 +214,11 @@ impl ArmSurvey {
         });
         let actions = observations.first().map_or(0, |o| o.action.len());
         let own: BTreeSet<usize> = self.groups.iter().flatten().copied().collect();
-        let limits: Vec<Option<[f64; 2]>> = (0..actions)
-            .map(|element| {
-                (own.contains(&element) && absolute == Some(false))
-                    .then(|| limit(observations, element))
-                    .flatten()
-            })
-            .collect();
+        let limits = if absolute == Some(false) {
+            limits(observations, &own, actions)
+        } else {
+            vec![None; actions]
+        };
         let typical = self.groups.iter().enumerate().map(|(group, _)| {
             let which = usize::from(absolute == Some(true));
             let sizes: Vec<f64> = observations
@@ -305,20 +303,45 @@ fn is_absolute(observations: &[ArmObservation]) -> Option<bool> {
     Some(apart < ABSOLUTE * variance)
 }
 
-/// The limits of an element of the actions: the smallest and the largest number, if frames of several demonstrations reach both or
-/// one of them exactly.
-fn limit(observations: &[ArmObservation], element: usize) -> Option<[f64; 2]> {
-    let own = || observations.iter().filter_map(|o| o.action.get(element));
-    let low = own().map(|extremes| extremes.low).fold(f64::INFINITY, f64::min);
-    let high = own().map(|extremes| extremes.high).fold(f64::NEG_INFINITY, f64::max);
-    let reached = |counts: Vec<u32>| counts.iter().sum::<u32>() >= AT_LIMIT && counts.len() > 1;
-    let at_low = reached(own().filter(|e| e.low == low).map(|e| e.at_low).collect());
-    let at_high = reached(own().filter(|e| e.high == high).map(|e| e.at_high).collect());
-    let limits = [
-        if at_low { low } else { f64::NEG_INFINITY },
-        if at_high { high } else { f64::INFINITY },
-    ];
-    ((at_low || at_high) && low < high).then_some(limits)
+/// The limits of the elements of the actions: the smallest and the largest number of each, as far as frames reach them exactly.
+fn limits(observations: &[ArmObservation], elements: &BTreeSet<usize>, count: usize) -> Vec<Option<[f64; 2]>> {
+    // Size, number of demonstrations that reach it, for each element and direction.
+    let extreme = |element: usize, lowest: bool| {
+        let own = observations.iter().filter_map(|o| o.action.get(element));
+        let sign = if lowest { -1.0 } else { 1.0 };
+        let of = move |e: &Extremes| {
+            if lowest {
+                (-e.low, e.at_low)
+            } else {
+                (e.high, e.at_high)
+            }
+        };
+        let most = own.clone().map(|e| of(e).0).fold(f64::NEG_INFINITY, f64::max);
+        let reached: Vec<u32> = own
+            .map(of)
+            .filter(|(value, _)| *value == most)
+            .map(|(_, count)| count)
+            .collect();
+        (reached.iter().sum::<u32>() >= AT_LIMIT && most > 0.0).then_some((sign * most, most, reached.len()))
+    };
+    let sizes: Vec<f64> = elements
+        .iter()
+        .flat_map(|&element| [true, false].map(|lowest| extreme(element, lowest)))
+        .flatten()
+        .map(|(_, size, _)| size)
+        .collect();
+    let shared = |size: f64| sizes.iter().filter(|other| **other == size).count() > 1;
+    let limit = |element: usize, lowest: bool| {
+        let found = extreme(element, lowest).filter(|(_, size, demos)| *demos > 1 || shared(*size));
+        found.map(|(value, ..)| value)
+    };
+    (0..count)
+        .map(|element| {
+            let ends = [limit(element, true), limit(element, false)];
+            let known = elements.contains(&element) && ends.iter().any(Option::is_some);
+            known.then(|| [ends[0].unwrap_or(f64::NEG_INFINITY), ends[1].unwrap_or(f64::INFINITY)])
+        })
+        .collect()
 }
 
 /// What is known about a dataset of an arm.
@@ -420,15 +443,43 @@ impl ArmFacts {
                     None => (&frames[place.saturating_sub(1)], now),
                 };
                 self.groups.iter().zip(&self.typical).all(|(group, typical)| {
-                    let part = |&element: &usize| match self.absolute {
-                        true => value(to, element) - value(from, element),
-                        false => value(now, element),
+                    let part = |&element: &usize| {
+                        if self.absolute {
+                            value(to, element) - value(from, element)
+                        } else {
+                            value(now, element)
+                        }
                     };
                     norm(&group.iter().map(part).collect::<Vec<_>>()) < IDLE * typical
                 })
             })
             .map(|idle| idle && !self.groups.is_empty())
             .collect()
+    }
+
+    /// Whether an element of the state is commanded to move in the step from a frame to the next one; true if nothing is known to
+    /// command this element.
+    pub(crate) fn is_commanded(&self, frames: &[ArmColumns], step: usize, element: usize) -> bool {
+        let positions = |row: &&SignalRow| row.vector == SignalVector::State && row.role == SignalRole::EefPosition;
+        let axis = self.arm.as_ref().and_then(|arm| {
+            if arm.joints.is_empty() {
+                let mut own = self.signals.iter().filter(positions);
+                own.position(|row| row.index as usize == element)
+            } else {
+                arm.joints.iter().position(|joint| *joint == element)
+            }
+        });
+        let command = axis.and_then(|axis| self.arm.as_ref()?.commands.get(axis));
+        let Some(command) = command else { return true };
+        let group = self.groups.iter().position(|group| group.contains(command));
+        let typical = group.and_then(|group| self.typical.get(group)).copied().unwrap_or(0.0);
+        let value = |frame: usize| frames.get(frame).and_then(|frame| frame.action.get(*command)).copied();
+        let size = if self.absolute {
+            value(step + 1).zip(value(step)).map(|(next, now)| next - now)
+        } else {
+            value(step)
+        };
+        size.is_some_and(|size| size.abs() >= IDLE * typical)
     }
 
     /// Fraction of the frames in which at least one and at least two controls are at their limits.

@@ -202,7 +202,7 @@ impl Check {
         match domain {
             Domain::Plane => self.planar_unit,
             // Openings are fractions of the travel.
-            Domain::Arm if self.needs.contains(&Need::Opening) && self.unit == "m" => "",
+            Domain::Arm if self.needs.contains(&Need::Opening) && self.unit == "m" => "of the travel",
             Domain::Space | Domain::Arm => self.unit,
         }
     }

@@ -266,7 +266,7 @@ pub const CHECKS: &[Check] = &[
     },
     Check {
         meaning: "An element of the state repeats, bit for bit, while others of its kind move: a sensor was not read, or a cable was loose. States and actions do not match there; cut these frames out, or leave the demonstration out.",
-        measure: "Consecutive frames with exactly the same number in one element of the state, other than the gripper, while an element of the same role changes in every step",
+        measure: "Consecutive frames with exactly the same number in one element of the state, other than the gripper, while it is commanded to move and an element of the same role changes in every step",
         unit: "frames",
         basis: Basis::Fence {
             of: "longest stretches (one per demonstration)",

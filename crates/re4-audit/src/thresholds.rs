@@ -339,7 +339,12 @@ fn derive(check: &Check, observed: &[f64], dataset: &Dataset) -> Threshold {
         Domain::Arm => dataset.frames(check, spatial),
     };
     let closed = dataset.closed;
-    match check.basis {
+    // Without an object, the fingers alone show that it is lost: they shut.
+    let basis = match check.code {
+        "lost_grasp" if dataset.domain == Domain::Arm => Basis::ClosedFingers,
+        _ => check.basis,
+    };
+    match basis {
         Basis::Nothing => constant(None, "the check has no threshold".to_owned()),
         Basis::Constant {
             spatial,

@@ -212,7 +212,7 @@ fn units_of_joints_do_not_matter() {
 }
 
 #[test]
-fn targets_are_told_from_displacements() {
+fn targets_and_displacements_are_distinguished() {
     let mut episodes: Vec<_> = (0..12).map(|number| flawless(number, false)).collect();
     assert!(!audit(&episodes, false).facts.absolute);
     for own in &mut episodes {

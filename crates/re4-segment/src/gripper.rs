@@ -211,7 +211,11 @@ impl Gripper {
         let shut = config.shut.or_else(|| match basis {
             _ if !measured => None,
             Proof::FingerDistance => Some(0.0),
-            _ => nominal(own, closes),
+            _ => nominal(own, closes).or_else(|| {
+                // A target in the unit of the opening has the same scale, and goes beyond what an object lets the gripper reach.
+                let target = commands.filter(|commands| !commands.two_values && correlation > Some(RELATED));
+                nominal(target?.range, closes)
+            }),
         });
         let mut gripper = Self {
             closes,

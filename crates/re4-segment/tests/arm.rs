@@ -56,10 +56,10 @@ fn prove(episodes: &[ArmEpisode], known: &Known, config: &OpeningConfig) -> Resu
     Gripper::prove(&observations, known, config)
 }
 
-fn closes(closes: Closes) -> OpeningConfig {
+fn closes(closes: Closes, shut: f64) -> OpeningConfig {
     OpeningConfig {
         closes: Some(closes),
-        ..OpeningConfig::default()
+        shut: Some(shut),
     }
 }
 
@@ -135,6 +135,8 @@ fn a_target_proves_which_way_the_gripper_closes() {
         (gripper.closes, gripper.basis),
         (Closes::Decreasing, Proof::KeptFromTarget)
     );
+    // The targets reach from 0 to 1, so the shut opening is known although the gripper never gets there.
+    assert_eq!(gripper.shut, Some(0.0));
     let mirrored: Vec<_> = episodes.iter().map(|own| transformed(own, -1.0, 0.0)).collect();
     let gripper = prove(&mirrored, &Known::default(), &OpeningConfig::default()).unwrap();
     assert_eq!(
@@ -202,11 +204,11 @@ proptest! {
                 episode(&openings, Some(&commands))
             })
             .collect();
-        let own = prove(&episodes, &Known::default(), &closes(Closes::Decreasing)).unwrap();
+        let own = prove(&episodes, &Known::default(), &closes(Closes::Decreasing, 0.0)).unwrap();
         let factor = if mirrored { -factor } else { factor };
         let others: Vec<_> = episodes.iter().map(|own| transformed(own, factor, offset)).collect();
         let setting = if mirrored { Closes::Increasing } else { Closes::Decreasing };
-        let other = prove(&others, &Known::default(), &closes(setting)).unwrap();
+        let other = prove(&others, &Known::default(), &closes(setting, offset)).unwrap();
         prop_assert_eq!(modes(&episodes, &own), modes(&others, &other));
     }
 

@@ -9,7 +9,7 @@ use super::audit::{measure, segment};
 use crate::html::audit::{Flag, Panel, Segment, Series};
 
 /// Maximum number of curves in a plot; more elements of a role get further plots.
-const CURVES: usize = 4;
+const CURVES: usize = 3;
 
 /// The segments. The page's columns of the fingers and of the object's displacement have the opening, as a fraction, and the length of
 /// the end effector's path.
@@ -74,9 +74,10 @@ pub(super) fn evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Fla
             .filter(|row| row.vector == vector && row.role == role)
             .collect();
         for group in own.chunks(CURVES) {
+            let common = common(&group.iter().map(|row| row.name.as_str()).collect::<Vec<_>>());
             let curves = group.iter().map(|row| {
                 let index = row.index as usize;
-                of_frames(&row.name, &|frame| match vector {
+                of_frames(row.name.get(common..).unwrap_or(&row.name), &|frame| match vector {
                     SignalVector::State => frame.state.get(index).copied(),
                     SignalVector::Action => frame.action.get(index).copied(),
                 })
@@ -99,6 +100,22 @@ pub(super) fn evidence(modes: &Artifact, episodes: &Artifact) -> Result<(Vec<Fla
     });
     Ok((vec![closes, holds], panels))
 }
+
+/// Length of the beginning that names have in common, up to its last separator, if it is long: the plot has little room for names.
+fn common(names: &[&str]) -> usize {
+    let Some(first) = names.first().filter(|_| names.iter().any(|name| name.len() > SHORT)) else {
+        return 0;
+    };
+    let same = |end: usize| names.iter().all(|name| name.get(..end) == first.get(..end));
+    let separators = first
+        .char_indices()
+        .filter(|(_, letter)| matches!(letter, '_' | '.' | '/'));
+    let ends = separators.map(|(at, letter)| at + letter.len_utf8());
+    ends.rev().find(|end| *end < first.len() && same(*end)).unwrap_or(0)
+}
+
+/// Names up to this length are shown whole.
+const SHORT: usize = 10;
 
 fn series(label: &str, values: impl Iterator<Item = Option<f64>>) -> Series {
     Series {

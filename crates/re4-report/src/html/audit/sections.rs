@@ -98,9 +98,32 @@ pub(super) fn header(audit: &Audit) -> Markup {
     shell::header("audit", &audit.dataset, &lead, without_script, &modes)
 }
 
+/// Beginning of the derivation of a check that could not be made, before the reason.
+const NOT_MADE: &str = "not made: ";
+
+/// Checks that could not be made, by the reason, in the order of their first check.
+fn by_reason<'a>(checks: &[&'a CheckRow]) -> Vec<(&'a str, Vec<String>)> {
+    let mut reasons: Vec<(&str, Vec<String>)> = Vec::new();
+    for check in checks {
+        let why = check.derivation.strip_prefix(NOT_MADE).unwrap_or(&check.derivation);
+        let name = words(&check.code);
+        match reasons.iter_mut().find(|(known, _)| *known == why) {
+            Some((_, names)) => names.push(name),
+            None => reasons.push((why, vec![name])),
+        }
+    }
+    reasons
+}
+
 /// The numbers of findings, by severity and by check, on buttons that filter the demonstrations.
 pub(super) fn findings(audit: &Audit) -> Markup {
-    let silent: Vec<&CheckRow> = audit.checks.iter().filter(|check| check.findings == 0).collect();
+    let not_made = |check: &CheckRow| !audit.object && check.derivation.starts_with(NOT_MADE);
+    let silent = audit
+        .checks
+        .iter()
+        .filter(|check| check.findings == 0 && !not_made(check));
+    let silent: Vec<&CheckRow> = silent.collect();
+    let skipped: Vec<&CheckRow> = audit.checks.iter().filter(|check| not_made(check)).collect();
     html! {
         section #found aria-labelledby="found-title" {
             div.heading {
@@ -144,6 +167,9 @@ pub(super) fn findings(audit: &Audit) -> Markup {
                     }
                     "."
                 }
+            }
+            @for (why, checks) in by_reason(&skipped) {
+                p.hint data-not-made=(why) { "Not checked, because " (why) ": " (checks.join(", ")) "." }
             }
         }
     }
