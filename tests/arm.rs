@@ -25,7 +25,7 @@ fn modes(place: &Place, pipeline: &str, more: &[&str]) -> Vec<bool> {
     let artifact = re4_artifact::Artifact::open(&place.path().join(folder)).unwrap();
     let rows = artifact.table_named("modes").unwrap().read_all().unwrap();
     let modes = re4_artifact::col_text(&rows, "mode").unwrap();
-    (0..rows.num_rows()).map(|row| modes.value(row) == "transfer").collect()
+    modes.into_iter().map(|mode| mode == Some("transfer")).collect()
 }
 
 #[test]

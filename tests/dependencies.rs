@@ -130,12 +130,12 @@ fn licences_are_allowed() {
         .collect();
     assert!(refused.is_empty(), "{refused:?}");
     // A licence that no package needs should not be allowed.
-    for licence in &allowed {
-        let fewer: BTreeSet<&str> = allowed.iter().copied().filter(|other| other != licence).collect();
+    for own in &allowed {
+        let fewer: BTreeSet<&str> = allowed.iter().copied().filter(|other| other != own).collect();
         let needed = packages.iter().any(|package| !is_met(licence(package, &deny), &fewer));
         assert!(
-            needed || *licence == "MIT" || *licence == "Apache-2.0",
-            "{licence} is allowed, but no package needs it"
+            needed || ["MIT", "Apache-2.0"].contains(own),
+            "{own} is allowed, but no package needs it"
         );
     }
 }
