@@ -176,7 +176,7 @@ impl PushtConventions {
             for value in &mut state[..coordinates] {
                 *value = pixels(*value, self.window);
             }
-            let degrees = self.angle == Some(AngleUnit::Degrees);
+            let degrees = self.angle == Some(AngleUnit::Degrees) && episodes.recorded.angle;
             if degrees {
                 state[4] = state[4].to_radians();
             }
@@ -211,7 +211,9 @@ impl PushtConventions {
             window: self.judge_coordinates(&frames, episodes, good, &mut judgement),
             ..*self
         };
-        self.judge_angles(&frames, judgement.likely.window, &mut judgement.faults);
+        if episodes.recorded.angle {
+            self.judge_angles(&frames, judgement.likely.window, &mut judgement.faults);
+        }
         judgement
     }
 

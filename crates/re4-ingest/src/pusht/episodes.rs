@@ -40,6 +40,8 @@ pub struct Recorded {
     pub action: Cow<'static, str>,
     /// Whether the pose of the block is known. If not, `state` has Push-T's goal pose in its place.
     pub block: bool,
+    /// Whether the angle of the block is recorded, not computed.
+    pub angle: bool,
 }
 
 impl Default for Recorded {
@@ -50,6 +52,7 @@ impl Default for Recorded {
             state: Cow::Borrowed("data/state"),
             action: Cow::Borrowed("data/action"),
             block: true,
+            angle: true,
         }
     }
 }

@@ -204,6 +204,7 @@ impl Reading {
             state: features.state.clone().into(),
             action: features.action.clone().into(),
             block: features.block || features.keypoints.is_some(),
+            angle: features.block,
         };
         Self {
             features,

@@ -1,5 +1,11 @@
 //! LeRobot datasets as sources of demonstrations: the samples beside the store they were converted from, and made-up datasets.
-#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test may stop where it fails")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test may stop where it fails"
+)]
 
 #[path = "../common/mod.rs"]
 mod common;
