@@ -24,10 +24,10 @@ pub(crate) fn rows<'a, const N: usize>(array: &'a PyReadonlyArray2<'_, f64>, nam
 ///
 /// # Errors
 /// If Python cannot allocate it.
-pub(crate) fn table<'py, const N: usize>(
-    py: Python<'py>,
+pub(crate) fn table<const N: usize>(
+    py: Python<'_>,
     rows: impl Iterator<Item = [f64; N]>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
+) -> PyResult<Bound<'_, PyArray2<f64>>> {
     let numbers: Vec<f64> = rows.flatten().collect();
     let count = numbers.len() / N;
     PyArray1::from_vec(py, numbers).reshape([count, N])

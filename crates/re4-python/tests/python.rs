@@ -3,6 +3,11 @@
 //!
 //! `RE4_PYTHON` names the interpreter with the packages of `tests/requirements.txt`; without it, the tests report that they are
 //! skipped. `RE4_WHEEL` names a wheel to test instead, such as the one that `scripts/build-wheel.sh` made.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests fail by panicking, and print what is skipped"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
