@@ -200,7 +200,7 @@ fn an_interrupt_ends_both_processes_and_leaves_no_files() {
     signal(&child, "INT");
     let answer = Answer::new(&child.wait_with_output().unwrap(), place.path());
     assert_eq!(
-        by_either(&answer.refused_at_once()),
+        by_either(&answer.interrupted_at_once()),
         "error: ingest was interrupted; no unfinished artifact remains, so run the same command again to continue"
     );
     assert!(!worker.is_running(), "the worker lives on");

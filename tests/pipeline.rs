@@ -510,6 +510,7 @@ fn inspect_shows_every_artifact() {
         "models",
         "pose_errors",
         "rule_agreement",
+        "signals",
         "states",
         "training",
         // Written only by rollouts with other goals or disturbances.

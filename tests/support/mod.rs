@@ -303,7 +303,19 @@ impl Answer {
     /// empty or, with `--json`, contains the same error with its remedy in a separate field.
     #[track_caller]
     pub(crate) fn refused(self) -> String {
-        assert_eq!(self.code, Some(2), "stdout {}\nstderr {}", self.stdout, self.stderr);
+        self.ended_with(2)
+    }
+
+    /// As [`Self::refused_at_once`], of a command that was interrupted: exit code 75.
+    #[track_caller]
+    pub(crate) fn interrupted_at_once(self) -> String {
+        assert_eq!(self.stderr.lines().count(), 1, "{}", self.stderr);
+        self.ended_with(75)
+    }
+
+    #[track_caller]
+    fn ended_with(self, code: i32) -> String {
+        assert_eq!(self.code, Some(code), "stdout {}\nstderr {}", self.stdout, self.stderr);
         let mut lines = self.stderr.lines().rev();
         let last = lines.next().unwrap_or_default();
         assert!(last.starts_with("error: "), "{}", self.stderr);

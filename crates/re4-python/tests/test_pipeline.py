@@ -60,8 +60,8 @@ def test_an_interrupt_ends_the_command_and_leaves_no_unfinished_artifact(demo: r
 
     def interrupt() -> None:
         begun.wait()
-        # The rollouts take seconds; the signal arrives after their folder exists.
-        while not list(tmp_path.glob("rollouts/.*")) and not list(tmp_path.glob("rollouts/*")):
+        # The rollouts take seconds; the signal arrives after their unfinished folder exists.
+        while not list(tmp_path.glob(".unfinished/*")) and not list(tmp_path.glob("rollouts/*")):
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -75,7 +75,8 @@ def test_an_interrupt_ends_the_command_and_leaves_no_unfinished_artifact(demo: r
     with pytest.raises(KeyboardInterrupt):
         pipeline.run("rollout", set={"rollout.seeds": "200500..210000"}, progress=progress)
     thread.join()
-    assert not list((tmp_path / "rollouts").iterdir())
+    assert not (tmp_path / "rollouts").exists()
+    assert not (tmp_path / ".unfinished").exists()
     assert len(list((tmp_path / "index").iterdir())) == 1
 
 

@@ -380,7 +380,7 @@ fn configuration_refuses_unknown_fields_by_name() {
         .unwrap_err()
         .to_string();
     assert!(refused.contains("unknown field `epsilon`"), "{refused}");
-    assert!(serde_json::from_str::<SegmentConfig>(r#"{"rule": "gripper"}"#).is_err());
+    assert!(serde_json::from_str::<SegmentConfig>(r#"{"rule": "grippers"}"#).is_err());
 }
 
 /// One step of a random demonstration.

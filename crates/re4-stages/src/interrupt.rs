@@ -27,7 +27,7 @@ static ANSWERED: AtomicBool = AtomicBool::new(false);
 /// Whether this process was asked to stop by a signal.
 static SIGNALLED: AtomicBool = AtomicBool::new(false);
 
-/// Exit code of an interrupted run: `EX_TEMPFAIL` of `sysexits.h`. Schedulers of clusters can be told to start a task that ends with it
+/// Exit code of an interrupted run: `EX_TEMPFAIL` of `sysexits.h`. Schedulers of clusters can be set to start a task that ends with it
 /// again, and the same command continues the run.
 pub const TRY_AGAIN: u8 = 75;
 
