@@ -12,7 +12,7 @@ use std::time::{Duration, SystemTime};
 const PREFIX: &str = ".tmp";
 
 /// Age from which the files of another machine's writer are leftovers. Longer than any stage runs without writing.
-const ABANDONED: Duration = Duration::from_secs(7 * 24 * 3600);
+const ABANDONED: Duration = Duration::from_hours(7 * 24);
 
 /// A process on a machine. A part that the system does not tell is empty, and equals nothing.
 #[derive(Debug, Clone, PartialEq, Eq)]

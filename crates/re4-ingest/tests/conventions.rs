@@ -230,7 +230,10 @@ fn environment_names_are_matched_to_tasks() {
     // The file's poses in datagen_info are made up; they are not used.
     let warnings = interpreter.warnings();
     assert_eq!(warnings.len(), 3, "{warnings:?}");
-    assert!(warnings.iter().all(|warning| warning.contains("datagen_info/")), "{warnings:?}");
+    assert!(
+        warnings.iter().all(|warning| warning.contains("datagen_info/")),
+        "{warnings:?}"
+    );
     let refused = ingest(&square, &reading("can", Settings::default())).err().unwrap();
     assert!(refused.contains("the pipeline's task needs PickPlaceCan"), "{refused}");
     for task in ["lift", "robosuite"] {

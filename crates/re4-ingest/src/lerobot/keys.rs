@@ -25,6 +25,10 @@ pub struct LerobotKeys {
     /// there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keypoints: Option<String>,
+    /// Push-T: the pose of the block: x, y in px and the angle in rad, world frame. Default: `re4.object_pose`, which `re4-pipe export`
+    /// writes, if it is there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<String>,
     /// Reward of a step. Push-T: the coverage of the goal in the next frame, divided by 0.95 and at most 1, which is a check of the
     /// block's poses. Default: `next.reward`, if it is there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -60,7 +64,7 @@ impl LerobotKeys {
             [
                 ("keypoints", self.keypoints.is_some()),
                 ("image", self.image.is_some()),
-                ("", false),
+                ("pose", self.pose.is_some()),
             ]
         };
         match foreign.iter().find(|(_, there)| *there) {

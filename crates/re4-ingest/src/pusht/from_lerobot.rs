@@ -27,6 +27,8 @@ struct Features {
     /// Whether the state has the pose of the block after the position of the agent.
     block: bool,
     action: String,
+    /// A feature with the pose of the block.
+    pose: Option<String>,
     keypoints: Option<String>,
     reward: Option<String>,
 }
@@ -43,6 +45,7 @@ impl Features {
         let action = wanted("action", keys.action.as_deref(), "action").required(info)?;
         let keypoints =
             wanted("keypoints", keys.keypoints.as_deref(), "observation.environment_state").optional(info)?;
+        let pose = wanted("pose", keys.pose.as_deref(), "re4.object_pose").optional(info)?;
         let reward = wanted("reward", keys.reward.as_deref(), "next.reward").optional(info)?;
         let wrong = |name: &str, found: usize, needed: &str, fix: &str| {
             Fault::Lerobot(format!(
@@ -75,6 +78,13 @@ impl Features {
             let fix = "set ingest.lerobot.keypoints to such a feature, or to \"\" if there is none";
             return Err(wrong(&keypoints.name, width(keypoints), needed, fix));
         }
+        if let Some(pose) = pose
+            && width(pose) != 3
+        {
+            let needed = "3 (x, y and angle of the block)";
+            let fix = "set ingest.lerobot.pose to such a feature, or to \"\" if there is none";
+            return Err(wrong(&pose.name, width(pose), needed, fix));
+        }
         if let Some(reward) = reward
             && width(reward) != 1
         {
@@ -82,11 +92,15 @@ impl Features {
             return Err(wrong(&reward.name, width(reward), "1 reward", fix));
         }
         let block = states == 5;
+        let pose = pose.map(|feature| feature.name.clone()).filter(|_| !block);
         Ok(Self {
             state: state.name.clone(),
             block,
             action: action.name.clone(),
-            keypoints: keypoints.map(|feature| feature.name.clone()).filter(|_| !block),
+            keypoints: keypoints
+                .map(|feature| feature.name.clone())
+                .filter(|_| !block && pose.is_none()),
+            pose,
             reward: reward.map(|feature| feature.name.clone()),
         })
     }
@@ -203,8 +217,8 @@ impl Reading {
             kind: "column",
             state: features.state.clone().into(),
             action: features.action.clone().into(),
-            block: features.block || features.keypoints.is_some(),
-            angle: features.block,
+            block: features.block || features.pose.is_some() || features.keypoints.is_some(),
+            angle: features.block || features.pose.is_some(),
         };
         Self {
             features,
@@ -243,6 +257,7 @@ impl Reading {
         let value = |column: Option<&Column>, at: usize| column.and_then(|c| c.values.number(at)).unwrap_or(f64::NAN);
         let state = column(&self.features.state);
         let action = column(&self.features.action);
+        let pose = self.features.pose.as_deref().map(column);
         let keypoints = self.features.keypoints.as_deref().map(column);
         let reward = self.features.reward.as_deref().map(column);
         let window = self.conventions.window;
@@ -257,8 +272,11 @@ impl Reading {
         let mut residuals = [0.0_f64; 2];
         for i in 0..count {
             let mut block = [GOAL.x, GOAL.y, GOAL.theta];
-            if self.features.block {
-                block = [2, 3, 4].map(|place| value(state, 5 * i + place));
+            if self.features.block || pose.is_some() {
+                block = match pose {
+                    Some(pose) => [0, 1, 2].map(|place| value(pose, 3 * i + place)),
+                    None => [2, 3, 4].map(|place| value(state, 5 * i + place)),
+                };
                 let theta = match self.conventions.angle {
                     Some(AngleUnit::Degrees) => block[2].to_radians(),
                     _ => block[2],

@@ -36,7 +36,7 @@ pub use worker::SUBCOMMAND as INGEST_WORKER;
 pub(crate) use worker::WorkerCrashed;
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 5;
+const CODE_VERSION: u32 = 6;
 
 /// Name of the stage in messages about an interruption.
 const STAGE: &str = "ingest";
