@@ -410,3 +410,33 @@ fn human_demonstrations_equal_a_foreign_dataset() {
     }
     assert!(pixels(&own, "observation.image") == pixels(&foreign, "observation.image"));
 }
+
+#[test]
+fn an_exported_lerobot_dataset_is_ingested_again() {
+    let (place, episodes, _) = segmented();
+    place
+        .run(&format!("export {episodes} data/set --format lerobot --float64"))
+        .done();
+    place.write(
+        "again.toml",
+        "task = \"pusht\"\n[ingest]\nsource = \"set\"\n[segment]\nrule = \"always_transit\"\n",
+    );
+    let again = place
+        .run("ingest again.toml --artifacts again --json --quiet")
+        .done()
+        .json();
+    let again = Artifact::open(&place.path().join(again["artifact"].as_str().unwrap())).unwrap();
+    let numbers = |artifact: &Artifact| {
+        let rows: Vec<FrameRow<PlanarColumns>> = artifact.read().unwrap();
+        let of = |frame: &PlanarColumns| {
+            let pose = frame.object.unwrap();
+            let (eef, action) = (frame.eef, frame.action);
+            [eef.x, eef.y, pose.x, pose.y, pose.theta, action.x, action.y]
+        };
+        (rows.len(), flat(&rows, of))
+    };
+    assert_eq!(numbers(&again), numbers(&place.artifact(Stage::Ingest)));
+    let conventions: Vec<re4_ingest::Convention> = again.read().unwrap();
+    let reward = conventions.iter().find(|row| &*row.convention == "reward").unwrap();
+    assert_eq!((&*reward.value, &*reward.basis), ("coverage_next_frame", "proven"));
+}

@@ -1,4 +1,4 @@
-//! Files of MimicGen, LIBERO, robosuite 1.5 and RoboCasa. `make_relatives.py` makes them from scripted demonstrations of Square and from the
+//! Files of `MimicGen`, LIBERO, robosuite 1.5 and `RoboCasa`. `make_relatives.py` makes them from scripted demonstrations of Square and from the
 //! sample of Can, so the tables must have the numbers of these demonstrations.
 
 use std::collections::BTreeMap;
@@ -740,7 +740,7 @@ fn damaged_files_are_refused_by_name() {
     assert!(odds.is_empty(), "{}", odds.join("\n"));
 }
 
-/// Rollouts from MimicGen's file are those from its source.
+/// Rollouts from `MimicGen`'s file are those from its source.
 #[test]
 fn rollouts_from_mimicgen_are_those_from_its_source() {
     let (Some(files), Some((scripted, simulators))) = (Files::new(), scripted_and_simulators()) else {
