@@ -216,10 +216,10 @@ mod tests {
             let table = folder.join("table.parquet");
             fs::write(&table, "half").unwrap();
             assert!(!is_leftover(&folder));
-            old(&folder, ABANDONED + Duration::from_secs(60));
+            old(&folder, ABANDONED + Duration::from_mins(1));
             // The table was written to a moment ago.
             assert!(!is_leftover(&folder));
-            old(&table, ABANDONED + Duration::from_secs(60));
+            old(&table, ABANDONED + Duration::from_mins(1));
             assert!(is_leftover(&folder));
             // The clock of the machine is ahead.
             File::open(&table)

@@ -126,7 +126,7 @@ fn opening_a_store_removes_leftovers_but_not_the_files_of_a_running_writer() {
     expected.sort();
     assert_eq!(artifact_names(root.path()), expected);
     drop(writer);
-    assert_eq!(artifact_names(root.path()), [elsewhere.clone()]);
+    assert_eq!(artifact_names(root.path()), std::slice::from_ref(&elsewhere));
     fs::remove_dir(unfinished.join(elsewhere)).unwrap();
     Store::open(root.path()).unwrap();
     assert!(!unfinished.exists());

@@ -1,4 +1,10 @@
-//! The estimator on images that were decoded from videos, against the poses of the same frames.
+//! The estimator on images that were decoded from videos, against the poses of the same frames. Runs if the folder in `RE4_DATA`, or
+//! `../shared/data` beside the repository, has the samples.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests fail by panicking, and print what is skipped"
+)]
 
 mod common;
 
@@ -11,11 +17,22 @@ use re4_pose::{AnchorBuilder, AnchorError, Flag, LogPolarEstimator, SIDE, Storag
 use re4_sim::{GOAL, tee_rectangles};
 
 fn sample(name: &str) -> PathBuf {
-    let data = std::env::var_os("RE4_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
     data.join("lerobot").join(name)
+}
+
+/// Whether the samples are there; if not, prints that the test is skipped.
+fn has_samples() -> bool {
+    let folder = sample("pusht-v3.0-keypoints");
+    let there = folder.is_dir();
+    if !there {
+        println!(
+            "skipped: no {}; set RE4_DATA to the folder of the datasets",
+            folder.display()
+        );
+    }
+    there
 }
 
 /// The poses of all frames, from the corners of the block: a rigid fit.
@@ -90,6 +107,9 @@ fn errors(name: &str, storage: Storage, truth: &[Pose2]) -> (Vec<f64>, Vec<f64>,
 /// Half of the positions of videos are accurate to a fifth of an image pixel (5.3 px), 99 of 100 to a half.
 #[test]
 fn poses_from_videos_are_accurate() {
+    if !has_samples() {
+        return;
+    }
     let truth = truth();
     for name in [
         "pusht-v3.0-video-av1",
@@ -120,6 +140,9 @@ fn poses_from_videos_are_accurate() {
 /// Treating a PNG source as lossy costs little, so a source whose history is unknown can be treated so.
 #[test]
 fn lossless_images_can_be_treated_as_lossy() {
+    if !has_samples() {
+        return;
+    }
     let truth = truth();
     let [lossless, lossy] =
         [Storage::Lossless, Storage::Lossy].map(|storage| errors("pusht-v3.0-image", storage, &truth));
@@ -134,6 +157,9 @@ fn lossless_images_can_be_treated_as_lossy() {
 
 #[test]
 fn a_video_as_a_lossless_source_is_refused() {
+    if !has_samples() {
+        return;
+    }
     let mut builder = AnchorBuilder::default();
     for image in &images("pusht-v3.0-video-av1") {
         builder.add(&view(image));
@@ -146,6 +172,9 @@ fn a_video_as_a_lossless_source_is_refused() {
 
 #[test]
 fn the_goal_has_to_be_where_it_is_expected_in_lossy_images_too() {
+    if !has_samples() {
+        return;
+    }
     let mut builder = AnchorBuilder::default();
     for image in &images("pusht-v3.0-video-h264") {
         builder.add(&view(image));
