@@ -72,8 +72,13 @@ def test_an_interrupt_ends_the_command_and_leaves_no_unfinished_artifact(demo: r
         if line.split()[0] == "index":
             begun.set()
 
-    with pytest.raises(KeyboardInterrupt):
-        pipeline.run("rollout", set={"rollout.seeds": "200500..210000"}, progress=progress)
+    # A process that a shell starts in the background ignores interrupts, and so would Python.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.run("rollout", set={"rollout.seeds": "200500..210000"}, progress=progress)
+    finally:
+        signal.signal(signal.SIGINT, before)
     thread.join()
     assert not (tmp_path / "rollouts").exists()
     assert not (tmp_path / ".unfinished").exists()
