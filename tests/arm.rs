@@ -124,3 +124,18 @@ fn settings_that_do_not_fit_are_refused() {
         assert!(said.contains(part), "{setting}: {said}");
     }
 }
+
+#[test]
+fn an_export_is_refused() {
+    let place = Place::empty();
+    let answer = on_sample(&place, "ingest", "arm-audit.toml", &["--json", "--quiet"]);
+    let episodes = answer.done().json()["artifact"].as_str().unwrap().to_owned();
+    for format in ["lerobot", "lerobot-v2.1", "robomimic", "pusht-zarr"] {
+        let said = place.run(&format!("export {episodes} out --format {format}")).refused();
+        assert!(
+            said.contains("are of the task \"arm\", for which there is no export"),
+            "{format}: {said}"
+        );
+        assert!(!place.path().join("out").exists());
+    }
+}

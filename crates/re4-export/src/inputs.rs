@@ -8,7 +8,7 @@ use re4_artifact::{Artifact, ByEpisode, Row, Stage};
 use re4_episode::{Mode, episode_name};
 use re4_fault::{bail, ensure, fault};
 use re4_influence::CuratedRow;
-use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
+use re4_ingest::{ArmColumns, DemoRow, EpisodeRow, FrameRow, SpatialColumns};
 use re4_rollout::SpaceResultRow;
 use re4_segment::{Evidence, ModeRow, SpatialEvidence};
 use re4_task::Task;
@@ -89,6 +89,9 @@ impl Inputs {
     }
 
     /// Whether the frames are planar.
+    ///
+    /// # Errors
+    /// If the artifact cannot be read, or its demonstrations are of the task `arm`, which no format is written for.
     pub(crate) fn planar(&self) -> Result<bool> {
         let (name, domain) = match self.kind {
             Kind::Episodes => (
@@ -97,7 +100,13 @@ impl Inputs {
             ),
             Kind::Rollouts => (SpaceResultRow::NAME, SpaceResultRow::table().domain),
         };
-        Ok(self.artifact.table_named(name)?.domain().as_deref() != Some(domain))
+        let found = self.artifact.table_named(name)?.domain();
+        ensure!(
+            found.as_deref() != Some(FrameRow::<ArmColumns>::table().domain),
+            "cannot export {}: its demonstrations are of the task \"arm\", for which there is no export", self.artifact.path().display();
+            "ingest the dataset with the task of its environment"
+        );
+        Ok(found.as_deref() != Some(domain))
     }
 
     /// Names of the demonstrations, by their number in the artifact.
