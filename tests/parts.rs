@@ -80,7 +80,11 @@ fn assert_same(place: &Place, one: &str, other: &str) {
     let (one, other) = (tree(&place.path().join(one)), tree(&place.path().join(other)));
     assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
     let differing: Vec<_> = one.iter().filter(|(path, bytes)| other[*path] != **bytes).collect();
-    assert!(differing.is_empty(), "{:?}", differing.iter().map(|(path, _)| path).collect::<Vec<_>>());
+    assert!(
+        differing.is_empty(),
+        "{:?}",
+        differing.iter().map(|(path, _)| path).collect::<Vec<_>>()
+    );
 }
 
 /// The only artifact of this kind.
@@ -97,7 +101,12 @@ fn shares_in_any_order_and_number_give_the_bytes_of_one_process() {
     let episodes = only(&place, "one", "episodes");
     assert_eq!(episodes.parts(), 3);
     assert_eq!(episodes.read::<DemoRow>().unwrap().len(), DEMOS);
-    let numbers: Vec<u32> = episodes.read::<EpisodeRow>().unwrap().iter().map(|row| row.episode).collect();
+    let numbers: Vec<u32> = episodes
+        .read::<EpisodeRow>()
+        .unwrap()
+        .iter()
+        .map(|row| row.episode)
+        .collect();
     assert_eq!(numbers, (0..DEMOS as u32).collect::<Vec<_>>());
     for stage in ["ingest", "segment", "index"] {
         // A share that is empty, others in reverse order, one of them twice, and one missing.
@@ -133,7 +142,11 @@ fn numbers_do_not_depend_on_demonstrations_that_are_left_out_of_other_parts() {
     succeeds(&place, "good", &["ingest", "good.toml"]);
     let (bad, good) = (only(&place, "bad", "episodes"), only(&place, "good", "episodes"));
     assert_eq!(bad.manifest().summary["left_out"], 3);
-    let tables: [&'static TableSpec; 3] = [EpisodeRow::table(), FrameRow::<SpatialColumns>::table(), DemoRow::table()];
+    let tables: [&'static TableSpec; 3] = [
+        EpisodeRow::table(),
+        FrameRow::<SpatialColumns>::table(),
+        DemoRow::table(),
+    ];
     for spec in tables {
         let read = |artifact: &Artifact| {
             let rows = artifact.table(spec).unwrap().read_all().unwrap();
@@ -153,7 +166,11 @@ fn numbers_do_not_depend_on_demonstrations_that_are_left_out_of_other_parts() {
     let index = |artifacts: &str| only(&place, artifacts, "index").manifest().summary.clone();
     assert_eq!(index("bad"), index("good"));
     // A dataset that is to be refused names all bad demonstrations, of all parts.
-    let (code, text) = run(&place, "refused", &["ingest", "bad.toml", "--set", "ingest.on_bad=refuse"]);
+    let (code, text) = run(
+        &place,
+        "refused",
+        &["ingest", "bad.toml", "--set", "ingest.on_bad=refuse"],
+    );
     assert_eq!(code, 2);
     for demo in ["demo_3", "demo_4", "demo_300"] {
         assert!(text.contains(demo), "{text}");
@@ -169,7 +186,12 @@ fn a_plan_lists_the_tasks_and_what_is_missing() {
     };
     let ids = |plan: &Value| -> Vec<(String, u64)> {
         let groups = plan["groups"].as_array().unwrap();
-        let id = |group: &Value| (group["id"].as_str().unwrap().to_owned(), group["count"].as_u64().unwrap());
+        let id = |group: &Value| {
+            (
+                group["id"].as_str().unwrap().to_owned(),
+                group["count"].as_u64().unwrap(),
+            )
+        };
         groups.iter().map(id).collect()
     };
     let whole = plan(&[]);
@@ -198,8 +220,16 @@ fn a_plan_lists_the_tasks_and_what_is_missing() {
                 .map(|word| word.as_str().unwrap().replace("{index}", &index.to_string()))
                 .map(|word| word.replace("{count}", &group["count"].to_string()))
                 .collect();
-            let output = Command::new(&words[0]).args(&words[1..]).current_dir(place.path()).output().unwrap();
-            assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+            let output = Command::new(&words[0])
+                .args(&words[1..])
+                .current_dir(place.path())
+                .output()
+                .unwrap();
+            assert!(
+                output.status.success(),
+                "{words:?}: {}",
+                String::from_utf8_lossy(&output.stderr)
+            );
         }
     }
     let missing = plan(&["--missing"]);
@@ -209,31 +239,63 @@ fn a_plan_lists_the_tasks_and_what_is_missing() {
     let status = succeeds(&place, "artifacts", &["status", "plan.json"]);
     assert!(status.contains("segment          3/3  done"), "{status}");
     assert!(status.contains("index            2/3  1 parts missing"), "{status}");
-    assert!(status.contains("rollout          0/3  waiting for earlier stages"), "{status}");
+    assert!(
+        status.contains("rollout          0/3  waiting for earlier stages"),
+        "{status}"
+    );
 }
 
 #[test]
 fn rollouts_in_parts_have_the_summary_of_all_rollouts() {
     let place = Place::new();
     let seeds = ["--seeds", "300000..301500"];
-    let whole = succeeds(&place, "one", &[&["rollout", "small.toml", "--max-steps", "8", "--json"][..], &seeds].concat());
+    let whole = succeeds(
+        &place,
+        "one",
+        &[&["rollout", "small.toml", "--max-steps", "8", "--json"][..], &seeds].concat(),
+    );
     let rollouts = only(&place, "one", "rollouts");
     assert_eq!(rollouts.parts(), 2);
     let rows: Vec<re4_rollout::PlaneResultRow> = rollouts.read().unwrap();
-    assert_eq!(rows.iter().map(|row| row.core.episode).collect::<Vec<_>>(), (0..1500).collect::<Vec<_>>());
-    assert_eq!(rows.iter().map(|row| row.core.seed).collect::<Vec<_>>(), (300_000..301_500).collect::<Vec<_>>());
+    assert_eq!(
+        rows.iter().map(|row| row.core.episode).collect::<Vec<_>>(),
+        (0..1500).collect::<Vec<_>>()
+    );
+    assert_eq!(
+        rows.iter().map(|row| row.core.seed).collect::<Vec<_>>(),
+        (300_000..301_500).collect::<Vec<_>>()
+    );
     let mean = rows.iter().map(|row| row.score_max).sum::<f64>() / 1500.0;
     let whole: Value = serde_json::from_str(&whole).unwrap();
     assert!((whole["metrics"]["score_scaled_mean"]["value"].as_f64().unwrap() - mean).abs() < 1e-12);
     for shard in ["1/2", "0/2"] {
-        succeeds(&place, "parts", &[&["rollout", "small.toml", "--max-steps", "8", "--shard", shard][..], &seeds].concat());
+        succeeds(
+            &place,
+            "parts",
+            &[
+                &["rollout", "small.toml", "--max-steps", "8", "--shard", shard][..],
+                &seeds,
+            ]
+            .concat(),
+        );
     }
-    succeeds(&place, "parts", &[&["merge", "rollout", "small.toml", "--max-steps", "8"][..], &seeds].concat());
+    succeeds(
+        &place,
+        "parts",
+        &[&["merge", "rollout", "small.toml", "--max-steps", "8"][..], &seeds].concat(),
+    );
     assert_same(&place, "one", "parts");
     // One of them is another artifact of one part, with the same rows.
-    succeeds(&place, "few", &["rollout", "small.toml", "--max-steps", "8", "--seeds", "301024..301500"]);
+    succeeds(
+        &place,
+        "few",
+        &["rollout", "small.toml", "--max-steps", "8", "--seeds", "301024..301500"],
+    );
     let few: Vec<re4_rollout::PlaneResultRow> = only(&place, "few", "rollouts").read().unwrap();
-    assert_eq!(few.iter().map(|row| row.score_max).collect::<Vec<_>>(), rows[1024..].iter().map(|row| row.score_max).collect::<Vec<_>>());
+    assert_eq!(
+        few.iter().map(|row| row.score_max).collect::<Vec<_>>(),
+        rows[1024..].iter().map(|row| row.score_max).collect::<Vec<_>>()
+    );
 }
 
 #[test]

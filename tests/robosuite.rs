@@ -38,6 +38,7 @@ fn demonstrations(path: &Path) -> BTreeMap<u32, Demo> {
     let mut demos = BTreeMap::new();
     reader
         .for_each::<Demo, IngestError>(
+            0..reader.demos().len(),
             |_, demo| Ok(demo.unwrap()),
             |at, demo| {
                 demos.insert(reader.demos()[at].number.unwrap(), demo);

@@ -73,10 +73,12 @@ fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
     let cameras = reader.cameras(None)?;
     let source = RobomimicSource::new(reader, learned, None, cameras)?;
     let mut tally = Tally::default();
-    source.episodes(|_, episode| {
+    let mut kept = Vec::new();
+    source.episodes(0..source.demos().len(), |_, episode| {
         match episode {
             Ok(mut episode) => {
                 assert!(matches!(episode.frames, Frames::Spatial(_)) && episode.frames.count() > 0);
+                kept.push((episode.name.clone(), episode.frames.count()));
                 tally.add(&mut episode);
             }
             Err(left) => {
@@ -87,7 +89,7 @@ fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
         Ok::<(), IngestError>(())
     })?;
     for camera in &source.info().cameras {
-        source.images(camera, &tally.demos, |block| {
+        source.images(camera, &kept, |block| {
             if let Ok(block) = block {
                 assert_eq!(block.bytes.len(), block.places.len() * block.height * block.width * 3);
             }

@@ -13,6 +13,8 @@ use re4_artifact::{Shard, Stage};
 use re4_fault::ensure;
 use re4_stages::{Notes, Runner, Seeds, Settings, Share};
 
+use crate::commands::plan::sources_of;
+
 pub(crate) use self::curate::{AimArgument, ByArgument};
 pub(crate) use self::export::{ExportArguments, ExportFormat};
 pub(crate) use self::plan::{MergeArguments, PlanArguments, StatusArguments};
@@ -170,6 +172,9 @@ pub(crate) struct StageArguments {
     /// Make only share I of N of the parts of this stage's artifact, such as 0/8; re4-pipe merge publishes it afterwards
     #[arg(long, value_name = "I/N")]
     pub(crate) shard: Option<Shard>,
+    /// Output of re4-pipe plan --json: use its hashes of the dataset's files unless these have changed
+    #[arg(long, value_name = "PLAN.json")]
+    pub(crate) plan: Option<PathBuf>,
     /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
@@ -200,6 +205,7 @@ impl StageArguments {
             overrides.push("ingest.images=false".to_owned());
         }
         overrides.extend_from_slice(more_overrides);
+        let hashes = self.plan.as_deref().map(sources_of).transpose()?.unwrap_or_default();
         Runner::new(&Settings {
             pipeline: &self.pipeline,
             overrides,
@@ -207,6 +213,7 @@ impl StageArguments {
             jobs: self.common.jobs,
             notes: Notes::new(self.common.quiet),
             share,
+            hashes: &hashes,
         })
     }
 }

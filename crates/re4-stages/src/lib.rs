@@ -6,6 +6,7 @@
 mod doctor;
 #[doc(hidden)]
 pub mod fuzzing;
+mod hashes;
 mod inputs;
 mod interrupt;
 mod notes;
@@ -22,6 +23,7 @@ pub mod tables;
 pub mod testing;
 
 pub use doctor::{Finding, State, doctor};
+pub use hashes::HashedFile;
 pub use inputs::simulators::TaskScene;
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, TRY_AGAIN, answer, was_interrupted};

@@ -14,6 +14,7 @@ use re4_ingest::{IngestError, Stop};
 use serde_json::{Map, Value, json};
 use tracing::{debug, info, info_span};
 
+use crate::hashes::{HashedFile, Hashes};
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
 use crate::parts::{Parting, Share};
@@ -34,6 +35,8 @@ pub struct Settings<'a> {
     pub notes: Notes,
     /// What this process makes of an artifact in parts.
     pub share: Share,
+    /// Hashes of sources that need not be computed again.
+    pub hashes: &'a [HashedFile],
 }
 
 /// What all stages need besides their settings: the artifact store, the messages to the user and Ctrl-C. Pipelines that one process
@@ -45,6 +48,8 @@ pub struct Session {
     pub notes: Notes,
     /// What this process makes of an artifact in parts.
     pub(crate) share: Share,
+    /// Hashes of sources.
+    hashes: Arc<Hashes>,
     /// Whether the user asked to stop, for instance by Ctrl-C.
     pub(crate) interrupt: Interrupt,
     /// Warnings of the stages run so far.
@@ -80,6 +85,7 @@ impl Session {
             store,
             notes,
             share: Share::Whole,
+            hashes: Arc::default(),
             warnings: Mutex::default(),
             said: None,
             measured: Mutex::default(),
@@ -103,6 +109,7 @@ impl Session {
             store: self.store.clone(),
             notes: self.notes,
             share: self.share,
+            hashes: Arc::clone(&self.hashes),
             interrupt: self.interrupt.clone(),
             warnings: Mutex::default(),
             said: self.said.clone(),
@@ -173,9 +180,10 @@ impl Runner {
         }
     }
 
-    /// The same runner with another share of artifacts in parts.
+    /// The same runner with another share of artifacts in parts. It prints no notes.
     pub(crate) fn sharing(&self, share: Share) -> Self {
         let mut runner = self.session.runner(&self.file, self.pipeline.clone());
+        runner.session.notes = Notes::new(true);
         runner.session.share = share;
         runner
     }
@@ -189,6 +197,7 @@ impl Runner {
         info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
         let mut session = Session::open(settings.artifacts, settings.jobs, settings.notes)?;
         session.share = settings.share;
+        session.hashes = Arc::new(Hashes::of(settings.hashes));
         if settings.share != Share::Whole {
             session.store = session.store.verifying_by_part();
         }
@@ -209,6 +218,16 @@ impl Session {
         let hash = Key::from_bytes(hashed?);
         info!(stage, blake3 = %hash, wall = ?start.elapsed(), "source hashed");
         Ok(hash)
+    }
+
+    /// The hash of a file that was computed before, or else by `hash`.
+    pub(crate) fn hashed_before(&self, path: &Path, hash: impl FnOnce() -> Result<Key>) -> Result<Key> {
+        self.hashes.get(path, hash)
+    }
+
+    /// The files that were hashed so far, and those whose hashes were given.
+    pub fn hashed(&self) -> Vec<HashedFile> {
+        self.hashes.all()
     }
 
     /// Returns the artifact of a recipe, and makes it with `make` if it does not exist.

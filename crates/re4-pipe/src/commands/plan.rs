@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use re4_artifact::Stage;
 use re4_fault::{OrFault as _, ensure, fault};
-use re4_stages::{Notes, PlannedStage, Runner, Settings, Share};
+use re4_stages::{HashedFile, Notes, PlannedStage, Runner, Settings, Share};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -38,11 +38,36 @@ struct Plan {
     directory: PathBuf,
     pipeline: PathBuf,
     artifacts: PathBuf,
+    /// Files of the dataset that were hashed. Tasks trust these hashes unless a file has changed.
+    sources: Vec<HashedFile>,
     /// Overrides of the pipeline's settings.
     overrides: Vec<String>,
     /// Maximum number of tasks of a group.
     shards: u32,
     groups: Vec<Group>,
+}
+
+impl Plan {
+    fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let plan: Self = serde_json::from_slice(&bytes).or_fault(|| {
+            fault!(
+                "cannot read {}: it is not the output of re4-pipe plan --json", path.display();
+                "write it again with re4-pipe plan PIPELINE.toml --shards N --json"
+            )
+        })?;
+        ensure!(
+            plan.format == FORMAT,
+            "cannot read {}: it has format {}, but this build reads format {FORMAT}", path.display(), plan.format;
+            "write it again with re4-pipe plan"
+        );
+        Ok(plan)
+    }
+}
+
+/// The hashes of a dataset's files in a plan.
+pub(crate) fn sources_of(plan: &Path) -> Result<Vec<HashedFile>> {
+    Ok(Plan::read(plan)?.sources)
 }
 
 /// Tasks that run the same command with another index.
@@ -132,6 +157,7 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
         directory: std::env::current_dir().context("cannot find the current folder")?,
         pipeline: arguments.stage.pipeline.clone(),
         artifacts: arguments.stage.common.artifacts.clone(),
+        sources: runner.hashed(),
         overrides: runner_overrides(arguments),
         shards,
         groups,
@@ -231,14 +257,7 @@ fn text(plan: &Plan) -> Result<String> {
 pub(crate) fn status(arguments: &StatusArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let path = &arguments.plan;
-    let refuse = || fault!("cannot read {}: it is not the output of re4-pipe plan --json", path.display(); "write it again with re4-pipe plan PIPELINE.toml --shards N --json");
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let plan: Plan = serde_json::from_slice(&bytes).or_fault(refuse)?;
-    ensure!(
-        plan.format == FORMAT,
-        "cannot read {}: it has format {}, but this build reads format {FORMAT}", path.display(), plan.format;
-        "write it again with re4-pipe plan"
-    );
+    let plan = Plan::read(path)?;
     std::env::set_current_dir(&plan.directory)
         .with_context(|| format!("cannot enter {}, the folder of the plan", plan.directory.display()))?;
     let runner = Runner::new(&Settings {
@@ -248,6 +267,7 @@ pub(crate) fn status(arguments: &StatusArguments) -> Result<Outcome> {
         jobs: arguments.common.jobs,
         notes: Notes::new(true),
         share: Share::Whole,
+        hashes: &plan.sources,
     })?;
     let planned = runner.planned()?;
     let rows: Vec<_> = planned.iter().map(row).collect();

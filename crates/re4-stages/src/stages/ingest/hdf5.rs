@@ -55,7 +55,14 @@ impl Runner {
             share: self.share,
             cautious: false,
         };
-        let hash = |sources: &Sources| self.hash(|stop| sources.hash(stop), STAGE);
+        let hash = |sources: &Sources| {
+            let hash = || self.hash(|stop| sources.hash(stop), STAGE);
+            if sources.has_models_folder() {
+                hash()
+            } else {
+                self.hashed_before(sources.path(), hash)
+            }
+        };
         // The file is opened and its conventions are determined while it is hashed. If there is a folder of models, the hash also
         // covers the models that the file refers to, so hashing has to wait until the file is open.
         let single_file = !sources.has_models_folder();
