@@ -66,12 +66,14 @@ def read(path, extra):
     """The plan in a file, or the plan that `re4-pipe plan` makes for a pipeline."""
     if path.endswith(".json"):
         if extra:
-            refuse("{} have no effect on a finished plan; give them to re4-pipe plan".format(" ".join(extra)))
+            refuse("{} has no effect on a finished plan; give it to re4-pipe plan".format(" ".join(extra)))
         try:
             with open(path) as file:
                 plan = json.load(file)
         except (OSError, ValueError) as error:
             refuse("{} is not a plan: {}; make one with re4-pipe plan --json".format(path, error))
+        if not isinstance(plan, dict):
+            refuse("{} is not a plan; make one with re4-pipe plan --json".format(path))
     else:
         built = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../../target/release/re4-pipe")
         program = os.environ.get("RE4_PIPE") or shutil.which("re4-pipe") or os.path.normpath(built)
