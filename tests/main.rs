@@ -30,6 +30,7 @@ mod kill;
 mod lerobot;
 mod notebooks;
 mod notes;
+mod parts;
 mod pipeline;
 mod policies;
 mod query;

@@ -50,6 +50,7 @@ mod error;
 mod key;
 mod manifest;
 mod owner;
+mod parts;
 mod reader;
 mod rows;
 mod spec;
@@ -67,7 +68,10 @@ pub use columns::{
 };
 pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
-pub use manifest::{FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableSummary};
+pub use manifest::{
+    FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, PART_MANIFEST_NAME, TablePart, TableSummary,
+};
+pub use parts::{Part, Shard};
 pub use reader::{Artifact, Batches, Table};
 pub use rows::{
     ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either,

@@ -16,6 +16,7 @@ use tracing::{debug, info, info_span};
 
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
+use crate::parts::{Parting, Share};
 use crate::pipeline::{Pipeline, read_pipeline};
 
 /// Settings of a [`Runner`].
@@ -31,6 +32,8 @@ pub struct Settings<'a> {
     pub jobs: Option<NonZeroUsize>,
     /// Messages to the user.
     pub notes: Notes,
+    /// What this process makes of an artifact in parts.
+    pub share: Share,
 }
 
 /// What all stages need besides their settings: the artifact store, the messages to the user and Ctrl-C. Pipelines that one process
@@ -40,6 +43,8 @@ pub struct Session {
     pub(crate) store: Store,
     /// Messages to the user.
     pub notes: Notes,
+    /// What this process makes of an artifact in parts.
+    pub(crate) share: Share,
     /// Whether the user asked to stop, for instance by Ctrl-C.
     pub(crate) interrupt: Interrupt,
     /// Warnings of the stages run so far.
@@ -74,6 +79,7 @@ impl Session {
             interrupt: Interrupt::listen(Some(&store)),
             store,
             notes,
+            share: Share::Whole,
             warnings: Mutex::default(),
             said: None,
             measured: Mutex::default(),
@@ -96,6 +102,7 @@ impl Session {
         let session = Self {
             store: self.store.clone(),
             notes: self.notes,
+            share: self.share,
             interrupt: self.interrupt.clone(),
             warnings: Mutex::default(),
             said: self.said.clone(),
@@ -166,6 +173,13 @@ impl Runner {
         }
     }
 
+    /// The same runner with another share of artifacts in parts.
+    pub(crate) fn sharing(&self, share: Share) -> Self {
+        let mut runner = self.session.runner(&self.file, self.pipeline.clone());
+        runner.session.share = share;
+        runner
+    }
+
     /// Reads the pipeline file, sets up threads and opens the store.
     ///
     /// # Errors
@@ -173,7 +187,11 @@ impl Runner {
     pub fn new(settings: &Settings<'_>) -> Result<Self> {
         let pipeline = read_pipeline(settings.pipeline, &settings.overrides)?;
         info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
-        let session = Session::open(settings.artifacts, settings.jobs, settings.notes)?;
+        let mut session = Session::open(settings.artifacts, settings.jobs, settings.notes)?;
+        session.share = settings.share;
+        if settings.share != Share::Whole {
+            session.store = session.store.verifying_by_part();
+        }
         Ok(session.runner(settings.pipeline, pipeline))
     }
 }
@@ -204,10 +222,35 @@ impl Session {
         if let Some(built) = self.unchanged(recipe, start)? {
             return Ok(built);
         }
+        self.share.builds_whole(&self.store, recipe)?;
         let writer = self.store.begin(recipe)?;
         let summary = make(&writer)?;
         self.interrupt.check(recipe.stage().as_str())?;
         self.made(writer.publish(summary)?, recipe, start)
+    }
+
+    /// As [`Session::build`], for an artifact of several parts. See [`Parting::make`].
+    pub(crate) fn build_parts(
+        &self,
+        recipe: &Recipe,
+        parts: u32,
+        make: impl Fn(&Writer, u32) -> Result<ArtifactSummary>,
+        finish: impl Fn(&[Artifact], &Writer) -> Result<ArtifactSummary>,
+    ) -> Result<Built> {
+        let start = Instant::now();
+        let _span = info_span!("stage", name = recipe.stage().as_str()).entered();
+        if let Some(built) = self.unchanged(recipe, start)? {
+            return Ok(built);
+        }
+        let parting = Parting {
+            store: &self.store,
+            recipe,
+            parts,
+            share: self.share,
+            interrupt: &self.interrupt,
+        };
+        let artifact = parting.make(make, |numbered, writer| finish(numbered, writer))?;
+        self.made(artifact, recipe, start)
     }
 
     /// The artifact of a recipe, if it exists.
