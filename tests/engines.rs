@@ -285,15 +285,11 @@ fn tasks_end_in_every_way(cluster: &mut Cluster, mut again: impl FnMut(&mut Clus
         "re4-engine: 13 of 13 tasks done, 0 failed, 0 not run, 1"
     );
     assert!(answer.stdout.contains("a 11/12 ran 2 times, on "), "{}", answer.stdout);
-    let expected: String = (0..12)
-        .map(|index| {
-            format!(
-                "{}\n",
-                odd.replace("{count}", "12").replace("{index}", &index.to_string())
-            )
-        })
+    let expected: Vec<String> = (0..12)
+        .map(|index| odd.replace("{count}", "12").replace("{index}", &index.to_string()))
         .collect();
-    assert_eq!(fs::read_to_string(place.path().join("made/all")).unwrap(), expected);
+    let made = fs::read_to_string(place.path().join("made/all")).unwrap();
+    assert_eq!(made.lines().collect::<Vec<_>>(), expected);
 
     // Only some tasks; one of them fails, so that the groups after it do not run.
     let fail = "echo so it is broken >&2; exit 9";
@@ -498,7 +494,7 @@ fn shards_in_any_number_and_order_give_the_same_bytes() {
     for (count, order) in [
         (2, vec![1, 0]),
         (7, vec![3, 6, 0, 2, 1, 5, 4]),
-        (100, (0..100).rev().collect()),
+        (13, (0..13).rev().collect()),
     ] {
         let place = Place::new();
         place.run_each(&[&["index"], &SIX_PARTS[..]].concat()).done();
