@@ -78,7 +78,7 @@ def read(path, extra):
         built = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../../target/release/re4-pipe")
         program = os.environ.get("RE4_PIPE") or shutil.which("re4-pipe") or os.path.normpath(built)
         try:
-            done = subprocess.run([program, "plan", path, "--json"] + extra, stdout=subprocess.PIPE)
+            done = subprocess.run([program, "plan", path, "--json", "--quiet"] + extra, stdout=subprocess.PIPE)
         except OSError as error:
             refuse("{} cannot be run: {}; set RE4_PIPE to the program".format(program, error))
         if done.returncode != 0:
