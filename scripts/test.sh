@@ -23,6 +23,7 @@ scripts/setup.sh
 cargo fetch --locked
 check "setting up Python" scripts/setup-python.sh
 check "setting up the simulators" scripts/setup-simulators.sh
+check "setting up Slurm" scripts/setup-engines.sh
 . scripts/test-environment.sh
 RE4_TEST_LOGS="$PWD/target/test-logs"
 export RE4_TEST_LOGS

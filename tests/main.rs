@@ -15,6 +15,7 @@ mod cli;
 mod compare;
 mod dependencies;
 mod encoder;
+mod engines;
 mod export;
 mod foreign;
 mod fuzz_corpus;
