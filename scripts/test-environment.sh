@@ -1,6 +1,7 @@
 # Settings of the scripts that run tests. They source this file with `.` in the top folder of the repository.
 #
 # Tests that run Python (notebooks, reports in a browser) need its interpreter in RE4_PYTHON, which is set here.
+# Tests of object stores need moto's server in RE4_MOTO, which is set here; otherwise they report that they are skipped.
 # Tests that simulate Lift, Can and Square find MuJoCo and robosuite's assets in the folder RE4_SIMULATORS.
 # Tests on the human Push-T demonstrations need them in the folder RE4_DATA or in ../shared/data; otherwise they report that they are
 # skipped.
@@ -10,6 +11,10 @@ if [ -z "${RE4_PYTHON:-}" ] && [ -x target/python/bin/python ]; then
     RE4_PYTHON="$PWD/target/python/bin/python"
 fi
 [ -z "${RE4_PYTHON:-}" ] || export RE4_PYTHON
+if [ -z "${RE4_MOTO:-}" ] && [ -x target/moto/bin/moto_server ]; then
+    RE4_MOTO="$PWD/target/moto/bin/moto_server"
+fi
+[ -z "${RE4_MOTO:-}" ] || export RE4_MOTO
 if [ -z "${RE4_DATA:-}" ] && [ -d ../shared/data/pusht ]; then
     RE4_DATA="$(cd ../shared/data && pwd)"
     export RE4_DATA

@@ -29,6 +29,7 @@ mod kill;
 mod lerobot;
 mod notebooks;
 mod notes;
+mod object_store;
 mod pipeline;
 mod policies;
 mod query;

@@ -51,6 +51,7 @@ mod key;
 mod manifest;
 mod owner;
 mod reader;
+mod remote;
 mod rows;
 mod spec;
 mod store;
@@ -69,6 +70,9 @@ pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
 pub use manifest::{FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableSummary};
 pub use reader::{Artifact, Batches, Table};
+pub use remote::{
+    Listed, Put, Remote, RemoteError, attach, attached, fetch, fetch_all, fetch_folder, pull_folder, push_folder,
+};
 pub use rows::{
     ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either,
     trimmed,

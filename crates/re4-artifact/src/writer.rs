@@ -59,7 +59,7 @@ pub struct Writer {
 
 /// The temporary folder of a writer. It is removed on drop, unless it was published.
 #[derive(Debug)]
-struct Temporary {
+pub(crate) struct Temporary {
     folder: Option<TempDir>,
     path: PathBuf,
     store: Store,
@@ -78,12 +78,22 @@ impl Temporary {
         })
     }
 
-    fn path(&self) -> &Path {
+    /// A temporary folder for what will be at `folder`, with the lock that shows others that its writer runs. It is removed if the
+    /// process is interrupted.
+    pub(crate) fn held(store: &Store, folder: &Path) -> Result<(Self, Option<File>), ArtifactError> {
+        let name = folder.file_name().map(|name| name.to_string_lossy().replace('-', "."));
+        let temporary = Self::new(store, &name.unwrap_or_default())?;
+        let lock = hold(temporary.path());
+        locked(&OWN).insert(temporary.path().to_path_buf());
+        Ok((temporary, lock))
+    }
+
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
     /// To be called after the folder was renamed, so that nothing is at its path.
-    fn published(mut self) {
+    pub(crate) fn published(mut self) {
         let _ = self.folder.take().map(TempDir::keep);
     }
 }
@@ -132,9 +142,7 @@ impl Writer {
     pub(crate) fn new(store: &Store, recipe: &Recipe) -> Result<Self, ArtifactError> {
         let key = recipe.key();
         let folder = store.folder(recipe.stage(), &key);
-        let temporary = Temporary::new(store, &key.short())?;
-        let lock = hold(temporary.path());
-        locked(&OWN).insert(temporary.path().to_path_buf());
+        let (temporary, lock) = Temporary::held(store, &folder)?;
         Ok(Self {
             store: store.clone(),
             recipe: recipe.clone(),
@@ -230,7 +238,8 @@ impl Writer {
     ///
     /// # Errors
     /// [`ArtifactError::Unfinished`] if a table was started but not finished, [`ArtifactError::Io`] if a file cannot be written,
-    /// [`ArtifactError::NotReproducible`] if another run published other bytes under the same key.
+    /// [`ArtifactError::NotReproducible`] if another run published other bytes under the same key, [`ArtifactError::Remote`] if an
+    /// object store is not reached.
     pub fn publish(self, summary: ArtifactSummary) -> Result<Artifact, ArtifactError> {
         let mut tables = BTreeMap::new();
         for (&name, table) in &*locked(&self.tables) {
@@ -251,7 +260,11 @@ impl Writer {
                 file.sync_all()
             })
             .map_err(ArtifactError::io("write", &path))?;
-        self.move_to_final_folder(&manifest)
+        let store = self.store.clone();
+        let artifact = self.move_to_final_folder(&manifest)?;
+        // Not under the right to publish, which an interrupt waits for.
+        store.push(artifact.path(), MANIFEST_NAME)?;
+        Ok(artifact)
     }
 
     fn move_to_final_folder(self, ours: &Manifest) -> Result<Artifact, ArtifactError> {
@@ -265,7 +278,7 @@ impl Writer {
         } = self;
         let _publication = Publication::wait();
         let key = recipe.key();
-        if let Some(theirs) = store.lookup(recipe.stage(), &key)? {
+        if let Some(theirs) = store.lookup_here(recipe.stage(), &key)? {
             return same_bytes(theirs, ours);
         }
         if let Some(parent) = folder.parent() {
@@ -275,7 +288,7 @@ impl Writer {
         // No lock is needed: a rename does not replace a folder that is not empty.
         if let Err(error) = fs::rename(temporary.path(), &folder) {
             // Another process, perhaps on another machine, may have published the artifact since the lookup.
-            return match store.lookup(recipe.stage(), &key)? {
+            return match store.lookup_here(recipe.stage(), &key)? {
                 Some(theirs) => same_bytes(theirs, ours),
                 None => Err(ArtifactError::io("publish", &folder)(error)),
             };

@@ -1,5 +1,6 @@
 //! The arguments of the command line.
 
+mod addresses;
 mod curate;
 mod export;
 
@@ -95,7 +96,7 @@ pub(crate) enum Command {
 
 impl Command {
     /// The options that all commands have, except for the worker, which only the program itself starts.
-    pub(crate) fn common(&self) -> Option<&Common> {
+    pub(crate) fn common(&mut self) -> Option<&mut Common> {
         match self {
             Self::Ingest(stage)
             | Self::Segment(stage)
@@ -104,10 +105,10 @@ impl Command {
             | Self::Index(stage)
             | Self::Scenes(stage)
             | Self::Audit(AuditArguments { stage, .. })
-            | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
-            Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
+            | Self::Replay(ReplayArguments { stage, .. }) => Some(&mut stage.common),
+            Self::Rollout(rollout) | Self::Run(rollout) => Some(&mut rollout.stage.common),
             Self::Influence(InfluenceArguments { stage, .. }) | Self::Curate(CurateArguments { stage, .. }) => {
-                Some(&stage.common)
+                Some(&mut stage.common)
             }
             Self::Compare(CompareArguments { common, .. })
             | Self::Video(VideoArguments { common, .. })
@@ -129,8 +130,13 @@ impl Command {
 /// Options of all commands.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Common {
-    /// Folder of the artifacts
-    #[arg(long, value_name = "DIR", default_value = "artifacts")]
+    /// Folder of the artifacts.
+    #[arg(
+        long,
+        value_name = "DIR",
+        default_value = "artifacts",
+        help = "Folder of the artifacts, or the address of an object store: s3://, gs:// or az://BUCKET/FOLDER"
+    )]
     pub(crate) artifacts: PathBuf,
     /// Number of worker threads; results do not depend on it [default: one per processor]
     #[arg(long, value_name = "N", value_parser = jobs)]

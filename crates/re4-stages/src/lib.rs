@@ -3,6 +3,7 @@
 //! A [`Runner`] holds a pipeline and has one method per stage. Stages exchange data only through artifacts: readers that more
 //! than one stage uses are in `inputs`, and no stage imports another.
 
+mod addresses;
 mod doctor;
 #[doc(hidden)]
 pub mod fuzzing;
@@ -19,6 +20,7 @@ pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
+pub use addresses::{is_address, local_artifact, local_artifacts, local_store};
 pub use doctor::{Finding, State, doctor};
 pub use inputs::simulators::TaskScene;
 pub use inputs::sources::data_folders;

@@ -119,5 +119,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_train::TrainError,
         crate::stages::WorkerCrashed,
     );
+    #[cfg(feature = "object-store")]
+    first!(re4_object::AddressError);
     None
 }
