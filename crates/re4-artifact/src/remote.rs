@@ -285,7 +285,7 @@ fn listed(manifest: &Manifest) -> Vec<Listed> {
     tables.chain(files).collect()
 }
 
-/// Uploads all files of a folder, `last` as the last one, to the folder `name` of the object store. If it has `last` already, the
+/// Uploads the files of a folder (not of folders in it), `last` as the last one, to the folder `name` of the object store. If it has `last` already, the
 /// folder is complete, and only that file is compared.
 ///
 /// # Errors
@@ -460,26 +460,16 @@ impl Upload {
     }
 }
 
-/// Paths relative to a folder, and lengths, of all files in it and its folders, in order.
+/// Names and lengths of the files in a folder, in order.
 fn files_in(folder: &Path) -> io::Result<Vec<(String, u64)>> {
     let mut files = Vec::new();
-    let mut folders = vec![String::new()];
-    while let Some(inner) = folders.pop() {
-        for entry in fs::read_dir(folder.join(&inner))? {
-            let entry = entry?;
-            let name = entry.file_name();
-            let name = name.to_str().ok_or_else(|| io::Error::other("a name is not Unicode"))?;
-            let path = if inner.is_empty() {
-                name.to_owned()
-            } else {
-                format!("{inner}/{name}")
-            };
-            let metadata = entry.metadata()?;
-            if metadata.is_dir() {
-                folders.push(path);
-            } else {
-                files.push((path, metadata.len()));
-            }
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let metadata = entry.metadata()?;
+        if metadata.is_file() {
+            let name = entry.file_name().into_string();
+            let name = name.map_err(|name| io::Error::other(format!("the name {} is not Unicode", name.display())))?;
+            files.push((name, metadata.len()));
         }
     }
     files.sort();

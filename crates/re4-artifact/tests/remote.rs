@@ -351,17 +351,17 @@ fn all_artifacts_are_fetched() {
 }
 
 #[test]
-fn folders_below_a_folder_and_large_files_are_transferred() {
+fn large_and_empty_files_are_transferred() {
     let remote = Memory::new();
     let place = tempfile::tempdir().unwrap();
     let folder = place.path().join("folder");
-    fs::create_dir_all(folder.join("parts/000000")).unwrap();
+    fs::create_dir_all(folder.join("parts")).unwrap();
     let large: Vec<u8> = (0..(16 << 20) * 2 + 3)
         .map(|number: u32| (number % 251) as u8)
         .collect();
     // Lengths around the length up to which a file is one request.
     let contents: BTreeMap<&str, &[u8]> = BTreeMap::from([
-        ("parts/000000/large", &large[..]),
+        ("large", &large[..]),
         ("exact", &large[..16 << 20]),
         ("longer", &large[..(16 << 20) + 1]),
         ("twice", &large[..(16 << 20) * 2]),
@@ -382,7 +382,7 @@ fn folders_below_a_folder_and_large_files_are_transferred() {
     };
     let all: Vec<Listed> = contents.iter().map(|(file, bytes)| listed(file, bytes)).collect();
     let to = place.path().join("to");
-    fs::create_dir_all(to.join("parts/000000")).unwrap();
+    fs::create_dir(&to).unwrap();
     pull_folder(&*remote, "name", &to, &all).unwrap();
     assert_eq!(files(&to), files(&folder));
     // A large file that is there already is compared block by block.

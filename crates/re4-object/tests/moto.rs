@@ -3,6 +3,7 @@
     clippy::unwrap_used,
     clippy::panic,
     clippy::print_stdout,
+    unreachable_pub,
     reason = "helpers of tests fail by panicking"
 )]
 
@@ -27,9 +28,9 @@ const LONGEST: Duration = Duration::from_mins(5);
 table! {
     /// One row per number.
     #[table("numbers", version = 1)]
-    pub(crate) struct NumberRow {
+    pub struct NumberRow {
         /// A number.
-        pub(crate) number: f64,
+        pub number: f64,
     }
 }
 
