@@ -50,6 +50,7 @@ mod error;
 mod key;
 mod manifest;
 mod owner;
+mod parts;
 mod reader;
 mod remote;
 mod rows;
@@ -68,7 +69,10 @@ pub use columns::{
 };
 pub use error::{ArtifactError, Damage};
 pub use key::{Key, Recipe, Source, Stage};
-pub use manifest::{FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, TableSummary};
+pub use manifest::{
+    FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, PART_MANIFEST_NAME, TablePart, TableSummary,
+};
+pub use parts::{Part, Shard};
 pub use reader::{Artifact, Batches, Table};
 pub use remote::{
     Listed, Put, Remote, RemoteError, attach, attached, fetch, fetch_all, fetch_folder, pull_folder, push_folder,

@@ -10,12 +10,22 @@ use serde_json::Value;
 use crate::canonical::{canonical_compact, canonical_json, canonical_text};
 use crate::error::{ArtifactError, Damage};
 use crate::key::{Key, Recipe, key_of};
+use crate::writer::ArtifactSummary;
 
-/// The manifest format that this build writes, and the newest one that it reads.
-pub const MANIFEST_FORMAT: u32 = 1;
+/// The newest manifest format that this build reads. Artifacts in parts have it, others have [`FORMAT_OF_ONE_PART`].
+pub const MANIFEST_FORMAT: u32 = 2;
+
+/// The format of manifests of artifacts that are not in parts.
+const FORMAT_OF_ONE_PART: u32 = 1;
 
 /// Name of the manifest in the folder of an artifact.
 pub const MANIFEST_NAME: &str = "manifest.json";
+
+/// Name of the manifest in the folder of a part.
+pub const PART_MANIFEST_NAME: &str = "part.json";
+
+/// Folder of the parts in the folder of an artifact.
+pub(crate) const PARTS: &str = "parts";
 
 const HASH_FIELD: &str = "manifest_blake3";
 
@@ -46,6 +56,12 @@ pub struct Manifest {
     pub source_blake3: Option<Key>,
     /// Description of the raw data (format, sizes, names); null if the stage read none.
     pub source: Value,
+    /// Folder of the part that this manifest describes, such as `000012`; omitted in the manifest of a whole artifact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part: Option<String>,
+    /// Number of parts; omitted if the artifact is not in parts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parts: Option<u32>,
     /// The tables, by name.
     pub tables: BTreeMap<String, TableSummary>,
     /// Files that are not tables, such as weights, by name; omitted if there are none.
@@ -63,7 +79,7 @@ pub struct Manifest {
 /// The manifest's entry for a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TableSummary {
-    /// File, relative to the folder of the artifact.
+    /// File, relative to the folder of the artifact or, if the artifact is in parts, of each part.
     pub file: String,
     /// Version of the table's schema.
     pub schema_version: u32,
@@ -71,11 +87,62 @@ pub struct TableSummary {
     pub rows: u64,
     /// Number of rows in each row group except the last, which may have fewer.
     pub row_group_rows: u64,
+    /// Length of the file, or of all files, in bytes.
+    pub bytes: u64,
+    /// BLAKE3 of the file or, if there are several, of their hashes; 64 hexadecimal digits.
+    #[schemars(with = "String")]
+    pub blake3: Key,
+    /// The files in the order of their rows, if the artifact is in parts; else omitted. Parts without rows of the table have no file.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<TablePart>,
+}
+
+/// The file of a table in one part of an artifact.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct TablePart {
+    /// Folder of the part in the folder `parts`, such as `000012`, or `dataset` for the tables that describe all parts.
+    pub part: String,
+    /// Number of rows.
+    pub rows: u64,
     /// Length of the file in bytes.
     pub bytes: u64,
     /// BLAKE3 of the file; 64 hexadecimal digits.
     #[schemars(with = "String")]
     pub blake3: Key,
+}
+
+/// A file of a table, as its manifest lists it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct TableFile {
+    /// Path relative to the folder of the artifact.
+    pub(crate) file: String,
+    /// Number of rows.
+    pub(crate) rows: u64,
+    /// Length in bytes.
+    pub(crate) bytes: u64,
+    /// Hash.
+    pub(crate) blake3: Key,
+}
+
+impl TableSummary {
+    /// The files of the table in the order of their rows.
+    pub(crate) fn files(&self) -> Vec<TableFile> {
+        if self.parts.is_empty() {
+            return vec![TableFile {
+                file: self.file.clone(),
+                rows: self.rows,
+                bytes: self.bytes,
+                blake3: self.blake3,
+            }];
+        }
+        let file = |part: &TablePart| TableFile {
+            file: format!("{PARTS}/{}/{}", part.part, self.file),
+            rows: part.rows,
+            bytes: part.bytes,
+            blake3: part.blake3,
+        };
+        self.parts.iter().map(file).collect()
+    }
 }
 
 /// The manifest's entry for a file that is not a table.
@@ -88,17 +155,46 @@ pub struct FileSummary {
     pub blake3: Key,
 }
 
+/// How a manifest relates to parts.
+#[derive(Debug, Clone)]
+pub(crate) enum Division {
+    /// The artifact is not in parts.
+    None,
+    /// The manifest describes the part in this folder.
+    Part(String),
+    /// The manifest describes an artifact of so many parts.
+    Into(u32),
+}
+
 impl Manifest {
+    /// Name of the file.
+    pub(crate) fn name(&self) -> &'static str {
+        if self.part.is_some() {
+            PART_MANIFEST_NAME
+        } else {
+            MANIFEST_NAME
+        }
+    }
+
     pub(crate) fn new(
         recipe: &Recipe,
         tables: BTreeMap<String, TableSummary>,
         files: BTreeMap<String, FileSummary>,
-        summary: Value,
-        warnings: Vec<Value>,
+        summary: ArtifactSummary,
+        division: Division,
     ) -> Result<Self, ArtifactError> {
         let source = recipe.raw_source();
+        let (part, parts) = match division {
+            Division::None => (None, None),
+            Division::Part(part) => (Some(part), None),
+            Division::Into(parts) => (None, Some(parts)),
+        };
         let mut manifest = Self {
-            format: MANIFEST_FORMAT,
+            format: if parts.is_some() {
+                MANIFEST_FORMAT
+            } else {
+                FORMAT_OF_ONE_PART
+            },
             stage: recipe.stage().as_str().to_owned(),
             artifact: recipe.stage().artifact().to_owned(),
             key: recipe.key(),
@@ -108,10 +204,12 @@ impl Manifest {
             inputs: recipe.inputs().clone(),
             source_blake3: source.map(|source| source.hash),
             source: source.map_or(Value::Null, |source| source.summary.clone()),
+            part,
+            parts,
             tables,
             files,
-            summary,
-            warnings,
+            summary: summary.summary,
+            warnings: summary.warnings,
             manifest_blake3: Key::from_bytes([0; 32]),
         };
         manifest.manifest_blake3 = hash_of(&canonical_json(&manifest)?);
@@ -125,8 +223,8 @@ impl Manifest {
 
     /// Reads the manifest of the artifact in `folder` and checks everything that does not need the tables: its own hash, its
     /// format, its key and the names of its files.
-    pub(crate) fn read(folder: &Path) -> Result<Self, ArtifactError> {
-        let path = folder.join(MANIFEST_NAME);
+    pub(crate) fn read(folder: &Path, name: &'static str) -> Result<Self, ArtifactError> {
+        let path = folder.join(name);
         let damaged = |damage| ArtifactError::damaged(folder, damage);
         let broken = |reason: &str| {
             damaged(Damage::Manifest {
@@ -167,11 +265,14 @@ impl Manifest {
             return Err(broken("has a key that does not match its recipe"));
         }
         // Names are joined to the path of the folder, so they must not contain separators.
-        if let Some((name, _)) = manifest
-            .tables
-            .iter()
-            .find(|(name, summary)| summary.file != format!("{name}.parquet") || name.contains(['/', '\\']))
-        {
+        if let Some((name, _)) = manifest.tables.iter().find(|(name, summary)| {
+            let outside = |text: &str| text.contains(['/', '\\', '.']);
+            let parts = summary
+                .parts
+                .iter()
+                .any(|part| part.part.is_empty() || outside(&part.part));
+            summary.file != format!("{name}.parquet") || name.contains(['/', '\\']) || parts
+        }) {
             return Err(damaged(Damage::Manifest {
                 reason: format!("refers to a file outside the artifact for table {name}"),
             }));

@@ -20,7 +20,7 @@ use crate::contained::contained;
 use crate::disk::hash_file;
 use crate::error::{ArtifactError, Damage};
 use crate::key::Key;
-use crate::manifest::{MANIFEST_NAME, Manifest, TableSummary};
+use crate::manifest::{MANIFEST_NAME, Manifest, PARTS, TableFile, TableSummary};
 use crate::spec::{DOMAIN_KEY, TableSpec};
 
 /// Maximum number of rows that are decoded at once. It bounds the memory of [`Table::batches`].
@@ -47,8 +47,13 @@ impl Artifact {
         }
         Ok(Self {
             path: path.to_path_buf(),
-            manifest: Manifest::read(path)?,
+            manifest: Manifest::read(path, MANIFEST_NAME)?,
         })
+    }
+
+    /// An artifact, or a part of one, with this manifest.
+    pub(crate) fn with_manifest(path: PathBuf, manifest: Manifest) -> Self {
+        Self { path, manifest }
     }
 
     /// Folder of the artifact.
@@ -111,10 +116,13 @@ impl Artifact {
     /// # Errors
     /// [`ArtifactError::Damaged`], [`ArtifactError::Io`].
     pub fn verify_bytes(&self) -> Result<(), ArtifactError> {
-        let mut expected: BTreeSet<String> = BTreeSet::from([MANIFEST_NAME.to_owned()]);
-        for summary in self.manifest.tables.values() {
-            self.verify_file(&summary.file, summary.bytes, &summary.blake3)?;
-            expected.insert(summary.file.clone());
+        let mut expected: BTreeSet<String> = BTreeSet::from([self.manifest.name().to_owned()]);
+        if self.in_parts() {
+            self.verify_parts()?;
+            expected.insert(PARTS.to_owned());
+        } else {
+            self.verify_files()?;
+            expected.extend(self.manifest.tables.values().map(|summary| summary.file.clone()));
         }
         for (name, summary) in &self.manifest.files {
             self.verify_file(name, summary.bytes, &summary.blake3)?;
@@ -141,7 +149,20 @@ impl Artifact {
             Some(summary) => summary,
             None => self.summary(spec.name)?,
         };
-        self.verify_file(&summary.file, summary.bytes, &summary.blake3)
+        self.verify_files_of(summary)
+    }
+
+    /// Checks every byte of the files of all tables.
+    pub(crate) fn verify_files(&self) -> Result<(), ArtifactError> {
+        self.manifest
+            .tables
+            .values()
+            .try_for_each(|summary| self.verify_files_of(summary))
+    }
+
+    fn verify_files_of(&self, summary: &TableSummary) -> Result<(), ArtifactError> {
+        let verify = |file: TableFile| self.verify_file(&file.file, file.bytes, &file.blake3);
+        summary.files().into_iter().try_for_each(verify)
     }
 
     fn verify_file(&self, file: &str, bytes: u64, blake3: &Key) -> Result<(), ArtifactError> {
@@ -186,13 +207,48 @@ impl Artifact {
     }
 }
 
-/// An opened table of an artifact. It is cheap to clone, because the footer of the file is read only when the table is opened.
+/// An opened table of an artifact. It is cheap to clone, because the footer of its first file is read only when the table is opened.
+/// In an artifact in parts it has a file in each part, in the order of the rows; the others are opened when they are read.
 #[derive(Debug, Clone)]
 pub struct Table {
+    /// The first file.
     path: PathBuf,
     summary: TableSummary,
     spec: Option<&'static TableSpec>,
+    /// Footer of the first file.
     metadata: ArrowReaderMetadata,
+    files: Arc<[FileOf]>,
+    /// Folder of the artifact.
+    folder: PathBuf,
+}
+
+/// A file of a table.
+#[derive(Debug)]
+struct FileOf {
+    /// Path relative to the folder of the artifact.
+    name: String,
+    path: PathBuf,
+    /// The rows of the table that are in the file.
+    rows: Range<u64>,
+    /// The row groups of the table that are in the file.
+    groups: Range<usize>,
+}
+
+/// The files of a table, with the numbers of their rows and row groups.
+fn files_of(folder: &Path, summary: &TableSummary) -> Arc<[FileOf]> {
+    let (mut row, mut group) = (0, 0);
+    let file = |file: TableFile| {
+        let groups = file.rows.div_ceil(summary.row_group_rows.max(1)) as usize;
+        let of = FileOf {
+            path: folder.join(&file.file),
+            name: file.file,
+            rows: row..row + file.rows,
+            groups: group..group + groups,
+        };
+        (row, group) = (of.rows.end, of.groups.end);
+        of
+    };
+    summary.files().into_iter().map(file).collect()
 }
 
 impl Table {
@@ -201,29 +257,50 @@ impl Table {
         summary: &TableSummary,
         spec: Option<&'static TableSpec>,
     ) -> Result<Self, ArtifactError> {
-        let path = artifact.path.join(&summary.file);
-        let file = match File::open(&path) {
-            Ok(file) => file,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                let file = summary.file.clone();
-                return Err(ArtifactError::damaged(&artifact.path, Damage::Missing { file }));
+        let files = files_of(&artifact.path, summary);
+        let (metadata, path) = match files.first() {
+            Some(first) => (footer(&artifact.path, first)?, first.path.clone()),
+            None => {
+                return Err(ArtifactError::damaged(
+                    &artifact.path,
+                    Damage::Manifest {
+                        reason: format!("lists no file of table {}", summary.file),
+                    },
+                ));
             }
-            Err(error) => return Err(ArtifactError::io("read", &path)(error)),
         };
-        let metadata = contained(|| ArrowReaderMetadata::load(&file, ArrowReaderOptions::new()))
-            .map_err(ArtifactError::parquet("read", &path))?;
         let table = Self {
             path,
             summary: summary.clone(),
             spec,
             metadata,
+            files,
+            folder: artifact.path.clone(),
         };
         table.refuse_other_domain(artifact)?;
-        if let Some(reason) = table.disagreement() {
-            let file = summary.file.clone();
-            return Err(ArtifactError::damaged(&artifact.path, Damage::Table { file, reason }));
-        }
+        table.agrees(&table.files[0], &table.metadata)?;
         Ok(table)
+    }
+
+    /// The footer of a file.
+    fn metadata_of(&self, file: &FileOf) -> Result<ArrowReaderMetadata, ArtifactError> {
+        if file.path == self.path {
+            return Ok(self.metadata.clone());
+        }
+        let metadata = footer(&self.folder, file)?;
+        self.agrees(file, &metadata)?;
+        Ok(metadata)
+    }
+
+    /// Returns an error if a file differs from the manifest or from the table's description.
+    fn agrees(&self, file: &FileOf, metadata: &ArrowReaderMetadata) -> Result<(), ArtifactError> {
+        match self.disagreement(file, metadata) {
+            Some(reason) => {
+                let file = file.name.clone();
+                Err(ArtifactError::damaged(&self.folder, Damage::Table { file, reason }))
+            }
+            None => Ok(()),
+        }
     }
 
     /// Returns an error if the table has the columns of another domain.
@@ -241,17 +318,21 @@ impl Table {
     }
 
     /// Describes the first difference between the file and the manifest or the table's description.
-    fn disagreement(&self) -> Option<String> {
-        let rows = self.metadata.metadata().file_metadata().num_rows();
-        if u64::try_from(rows) != Ok(self.summary.rows) {
-            return Some(format!("has {rows} rows, but the manifest lists {}", self.summary.rows));
+    fn disagreement(&self, file: &FileOf, metadata: &ArrowReaderMetadata) -> Option<String> {
+        let rows = metadata.metadata().file_metadata().num_rows();
+        let listed = file.rows.end - file.rows.start;
+        if u64::try_from(rows) != Ok(listed) {
+            return Some(format!("has {rows} rows, but the manifest lists {listed}"));
         }
-        if let Some(reason) = self.row_group_disagreement() {
+        if let Some(reason) = self.row_group_disagreement(listed, metadata) {
             return Some(reason);
         }
-        let spec = self.spec?;
+        let Some(spec) = self.spec else {
+            let same = metadata.schema().fields() == self.metadata.schema().fields();
+            return (!same).then(|| "has other columns than the first part".to_owned());
+        };
         let version = self.summary.schema_version;
-        let fields = self.metadata.schema().fields();
+        let fields = metadata.schema().fields();
         let current = version == spec.version;
         // An older version may have columns that were removed later, so they are not counted, and found by name.
         if current && fields.len() != spec.columns.len() {
@@ -290,10 +371,10 @@ impl Table {
 
     /// Describes the first difference between the row groups and the manifest. [`Table::read_rows`] computes the row group of a
     /// row from `row_group_rows`, so all groups must have that length.
-    fn row_group_disagreement(&self) -> Option<String> {
+    fn row_group_disagreement(&self, rows: u64, metadata: &ArrowReaderMetadata) -> Option<String> {
         let size = self.summary.row_group_rows;
-        let groups = self.metadata.metadata().row_groups();
-        let mut left = self.summary.rows;
+        let groups = metadata.metadata().row_groups();
+        let mut left = rows;
         for (number, group) in groups.iter().enumerate() {
             let (rows, expected) = (group.num_rows(), left.min(size));
             if expected == 0 || u64::try_from(rows) != Ok(expected) {
@@ -303,12 +384,22 @@ impl Table {
             }
             left -= expected;
         }
-        (left > 0).then(|| format!("lacks row groups for {left} of its {} rows", self.summary.rows))
+        (left > 0).then(|| format!("lacks row groups for {left} of its {rows} rows"))
     }
 
-    /// File of the table.
+    /// File of the table; the first one if the artifact is in parts.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Files of the table, in the order of its rows.
+    pub fn paths(&self) -> Vec<PathBuf> {
+        self.files.iter().map(|file| file.path.clone()).collect()
+    }
+
+    /// The number of rows up to the end of each file, in the order of the rows.
+    pub fn file_ends(&self) -> Vec<u64> {
+        self.files.iter().map(|file| file.rows.end).collect()
     }
 
     /// The manifest's entry for the table.
@@ -323,7 +414,7 @@ impl Table {
 
     /// Number of row groups.
     pub fn row_groups(&self) -> usize {
-        self.metadata.metadata().num_row_groups()
+        self.files.last().map_or(0, |file| file.groups.end)
     }
 
     /// Domain of the columns, according to the file; `None` if the table is common to all domains or was written before files
@@ -343,7 +434,24 @@ impl Table {
     /// # Errors
     /// [`ArtifactError::Io`] and [`ArtifactError::Parquet`], as for all reads.
     pub fn read_all(&self) -> Result<RecordBatch, ArtifactError> {
-        self.collect(self.reader(None)?, &self.schema(), None)
+        let schema = self.schema();
+        self.concatenated(&schema, |file| self.collect(self.reader(file, None)?, &schema, None))
+    }
+
+    /// The rows that `read` returns for each file.
+    fn concatenated(
+        &self,
+        schema: &SchemaRef,
+        read: impl Fn(&FileOf) -> Result<RecordBatch, ArtifactError>,
+    ) -> Result<RecordBatch, ArtifactError> {
+        match &*self.files {
+            [file] => read(file),
+            files => {
+                let batches = files.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+                concat_batches(schema, &batches)
+                    .map_err(|error| ArtifactError::parquet("read", &self.path)(error.into()))
+            }
+        }
     }
 
     /// Reads all rows of some columns, as one batch with the columns in the given order.
@@ -371,7 +479,9 @@ impl Table {
             columns.iter().any(|column| self.name_in_file(column) == name)
         });
         let mask = ProjectionMask::roots(self.metadata.parquet_schema(), chosen);
-        self.collect(self.reader(None)?.with_projection(mask), &schema, None)
+        self.concatenated(&schema, |file| {
+            self.collect(self.reader(file, None)?.with_projection(mask.clone()), &schema, None)
+        })
     }
 
     /// Reads the rows of one row group.
@@ -379,12 +489,13 @@ impl Table {
     /// # Errors
     /// As [`Table::read_all`], and [`ArtifactError::OutOfRange`].
     pub fn read_row_group(&self, group: usize) -> Result<RecordBatch, ArtifactError> {
-        if group >= self.row_groups() {
+        let Some(file) = self.files.iter().find(|file| file.groups.contains(&group)) else {
             let size = self.summary.row_group_rows;
             let first = (group as u64).saturating_mul(size);
             return Err(self.out_of_range(&(first..first.saturating_add(size))));
-        }
-        self.collect(self.reader(Some(vec![group]))?, &self.schema(), None)
+        };
+        let reader = self.reader(file, Some(vec![group - file.groups.start]))?;
+        self.collect(reader, &self.schema(), None)
     }
 
     /// Reads a range of rows. Only the row groups that contain them are decoded.
@@ -398,6 +509,30 @@ impl Table {
         if rows.is_empty() {
             return Ok(RecordBatch::new_empty(self.schema()));
         }
+        let schema = self.schema();
+        let touched = self
+            .files
+            .iter()
+            .filter(|file| file.rows.start < rows.end && rows.start < file.rows.end);
+        let mut batches = touched
+            .map(|file| {
+                let start = rows.start.max(file.rows.start) - file.rows.start;
+                let end = rows.end.min(file.rows.end) - file.rows.start;
+                self.read_rows_of(file, start..end, &schema)
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        match (batches.pop(), batches.is_empty()) {
+            (Some(only), true) => Ok(only),
+            (last, _) => {
+                batches.extend(last);
+                concat_batches(&schema, &batches)
+                    .map_err(|error| ArtifactError::parquet("read", &self.path)(error.into()))
+            }
+        }
+    }
+
+    /// Reads rows of a file, counted from its first row.
+    fn read_rows_of(&self, file: &FileOf, rows: Range<u64>, schema: &SchemaRef) -> Result<RecordBatch, ArtifactError> {
         let size = self.summary.row_group_rows.max(1);
         let groups: Vec<usize> = (rows.start / size..rows.end.div_ceil(size))
             .map(|g| g as usize)
@@ -406,8 +541,8 @@ impl Table {
         let wanted = before..before + (rows.end - rows.start) as usize;
         // The decoder fills whole batches. A smaller size keeps it from decoding images after the requested ones.
         let size = wanted.end.min(ROWS_PER_BATCH);
-        let reader = self.reader(Some(groups))?.with_batch_size(size);
-        self.collect(reader, &self.schema(), Some(wanted))
+        let reader = self.reader(file, Some(groups))?.with_batch_size(size);
+        self.collect(reader, schema, Some(wanted))
     }
 
     /// Reads the rows in order, in batches of bounded size, so that the table does not have to fit in memory.
@@ -415,14 +550,18 @@ impl Table {
     /// # Errors
     /// As [`Table::read_all`].
     pub fn batches(&self) -> Result<Batches, ArtifactError> {
-        let size = ROWS_PER_BATCH.min((self.summary.row_group_rows as usize).max(1));
-        let builder = self.reader(None)?.with_batch_size(size);
-        let reader = contained(|| builder.build()).map_err(ArtifactError::parquet("read", &self.path))?;
         Ok(Batches {
+            reader: Some(self.batches_of(&self.files[0])?),
+            next_file: 1,
             table: self.clone(),
             schema: self.schema(),
-            reader: Some(reader),
         })
+    }
+
+    fn batches_of(&self, file: &FileOf) -> Result<ParquetRecordBatchReader, ArtifactError> {
+        let size = ROWS_PER_BATCH.min((self.summary.row_group_rows as usize).max(1));
+        let builder = self.reader(file, None)?.with_batch_size(size);
+        contained(|| builder.build()).map_err(ArtifactError::parquet("read", &file.path))
     }
 
     fn out_of_range(&self, rows: &Range<u64>) -> ArtifactError {
@@ -435,10 +574,15 @@ impl Table {
     }
 
     /// Opens the file again for each read, because clones of a handle share their position and reads may run in parallel.
-    fn reader(&self, groups: Option<Vec<usize>>) -> Result<ParquetRecordBatchReaderBuilder<File>, ArtifactError> {
-        let file = File::open(&self.path).map_err(ArtifactError::io("read", &self.path))?;
-        let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
-            .with_batch_size(ROWS_PER_BATCH);
+    fn reader(
+        &self,
+        of: &FileOf,
+        groups: Option<Vec<usize>>,
+    ) -> Result<ParquetRecordBatchReaderBuilder<File>, ArtifactError> {
+        let metadata = self.metadata_of(of)?;
+        let file = File::open(&of.path).map_err(ArtifactError::io("read", &of.path))?;
+        let builder =
+            ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata).with_batch_size(ROWS_PER_BATCH);
         Ok(match groups {
             Some(groups) => builder.with_row_groups(groups),
             None => builder,
@@ -484,6 +628,20 @@ impl Table {
     }
 }
 
+/// Reads the footer of a file of the artifact in `folder`.
+fn footer(folder: &Path, of: &FileOf) -> Result<ArrowReaderMetadata, ArtifactError> {
+    let file = match File::open(&of.path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let file = of.name.clone();
+            return Err(ArtifactError::damaged(folder, Damage::Missing { file }));
+        }
+        Err(error) => return Err(ArtifactError::io("read", &of.path)(error)),
+    };
+    contained(|| ArrowReaderMetadata::load(&file, ArrowReaderOptions::new()))
+        .map_err(ArtifactError::parquet("read", &of.path))
+}
+
 /// Reads all batches, or the parts of them that contain a range of rows.
 ///
 /// Rows before the range are decoded and dropped. The decoder's own row selection is not used, because it does not terminate
@@ -517,22 +675,49 @@ fn cut(reader: ParquetRecordBatchReader, rows: Option<Range<usize>>) -> Result<V
 pub struct Batches {
     table: Table,
     schema: SchemaRef,
-    /// `None` after the first error.
+    /// The file that is read; `None` after the last one and after the first error.
     reader: Option<ParquetRecordBatchReader>,
+    /// Number of the file to read after that.
+    next_file: usize,
+}
+
+impl Batches {
+    /// The next batch of the file that is read.
+    fn next_of_file(&mut self) -> Option<Result<RecordBatch, ArtifactError>> {
+        let reader = self.reader.as_mut()?;
+        contained(|| Ok(reader.next().transpose()?))
+            .map_err(ArtifactError::parquet(
+                "read",
+                &self.table.files[self.next_file - 1].path,
+            ))
+            .transpose()
+            .map(|batch| batch.and_then(|batch| self.table.upgrade(&batch, &self.schema)))
+    }
 }
 
 impl Iterator for Batches {
     type Item = Result<RecordBatch, ArtifactError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let reader = self.reader.as_mut()?;
-        let batch = contained(|| Ok(reader.next().transpose()?))
-            .map_err(ArtifactError::parquet("read", &self.table.path))
-            .transpose()?
-            .and_then(|batch| self.table.upgrade(&batch, &self.schema));
-        if batch.is_err() {
-            self.reader = None;
+        loop {
+            self.reader.as_ref()?;
+            let batch = self.next_of_file();
+            if batch.as_ref().is_some_and(Result::is_err) {
+                self.reader = None;
+            }
+            if batch.is_some() {
+                return batch;
+            }
+            let files = Arc::clone(&self.table.files);
+            self.reader = match files.get(self.next_file).map(|file| self.table.batches_of(file)) {
+                Some(Ok(reader)) => Some(reader),
+                Some(Err(error)) => {
+                    self.reader = None;
+                    return Some(Err(error));
+                }
+                None => None,
+            };
+            self.next_file += 1;
         }
-        Some(batch)
     }
 }

@@ -18,7 +18,7 @@ use std::thread;
 use crate::disk::sync_folder;
 use crate::error::{ArtifactError, Damage};
 use crate::key::{Key, Stage};
-use crate::manifest::{MANIFEST_NAME, Manifest};
+use crate::manifest::{MANIFEST_NAME, Manifest, PART_MANIFEST_NAME, PARTS};
 use crate::store::{Store, record};
 use crate::writer::{Publication, Temporary};
 
@@ -182,9 +182,9 @@ pub fn fetch_all(root: &Path) -> Result<usize, ArtifactError> {
 }
 
 impl Store {
-    /// Uploads a published folder, unless it is in the object store already. `last` is the file that makes it complete. Without an
-    /// object store, nothing happens.
-    pub(crate) fn push(&self, folder: &Path, last: &str) -> Result<(), ArtifactError> {
+    /// Uploads a published folder, and the parts that its manifest `last` lists, unless it is in the object store already. Without an object
+    /// store, nothing happens.
+    pub(crate) fn push(&self, folder: &Path, last: &'static str) -> Result<(), ArtifactError> {
         let Some(connection) = &self.connection else {
             return Ok(());
         };
@@ -192,19 +192,24 @@ impl Store {
         if locked(&connection.complete).contains(&name) {
             return Ok(());
         }
-        push_folder(&*connection.remote, folder, &name, last)?;
+        let remote = &*connection.remote;
+        if !is_complete(remote, folder, &name, last)? {
+            let parts = parts_of(&Manifest::read(folder, last)?);
+            each(&parts, |part| {
+                self.push(&folder.join(PARTS).join(part), PART_MANIFEST_NAME)
+            })?;
+            push_folder(remote, folder, &name, last)?;
+        }
         locked(&connection.complete).insert(name);
         Ok(())
     }
 
-    /// Downloads a folder that is complete in the object store, unless it exists. `last` is the file that makes it complete: a manifest.
-    /// Returns whether the folder exists.
+    /// Downloads a folder whose manifest `last` is in the object store, and the parts that it lists, unless they exist. Returns whether the
+    /// folder exists.
     pub(crate) fn pull(&self, folder: &Path, last: &'static str) -> Result<bool, ArtifactError> {
-        if folder.join(last).exists() {
-            return Ok(true);
-        }
-        let Some(connection) = &self.connection else {
-            return Ok(false);
+        let exists = folder.join(last).exists();
+        let Some(connection) = self.connection.as_ref().filter(|_| !exists) else {
+            return Ok(exists);
         };
         let remote = &*connection.remote;
         let name = self.name_of(folder)?;
@@ -212,23 +217,27 @@ impl Store {
         let Some(text) = remote.get(&object).map_err(failed("read", remote, &object))? else {
             return Ok(false);
         };
-        let (temporary, lock) = Temporary::held(self, folder)?;
-        let path = temporary.path().join(last);
-        write(&path, &text)?;
+        let (temporary, lock) = Temporary::held(self, "download")?;
+        write(&temporary.path().join(last), &text)?;
         let shown = PathBuf::from(format!("{}/{name}", remote.address()));
-        let manifest = Manifest::read(temporary.path()).map_err(|error| error.at(&shown))?;
-        pull_folder(remote, &name, temporary.path(), &listed(&manifest))?;
-        sync_folder(temporary.path())?;
-        self.pull_record(&record(self.root(), &manifest.stage, &manifest.key))?;
-        if let Some(parent) = folder.parent() {
-            fs::create_dir_all(parent).map_err(ArtifactError::io("create the folder", parent))?;
+        let manifest = Manifest::read(temporary.path(), last).map_err(|error| error.at(&shown))?;
+        if last == MANIFEST_NAME {
+            self.pull_record(&record(self.root(), &manifest.stage, &manifest.key))?;
         }
-        let _publication = Publication::wait();
-        match fs::rename(temporary.path(), folder) {
-            Ok(()) => temporary.published(),
-            // Another process has downloaded or made it.
-            Err(_) if folder.join(last).exists() => {}
-            Err(error) => return Err(ArtifactError::io("publish", folder)(error)),
+        if manifest.parts.is_some() {
+            each(&parts_of(&manifest), |part| {
+                let file = format!("{PARTS}/{part}/{PART_MANIFEST_NAME}");
+                match self.pull(&folder.join(PARTS).join(part), PART_MANIFEST_NAME)? {
+                    true => Ok(()),
+                    false => Err(ArtifactError::damaged(&shown, Damage::Missing { file })),
+                }
+            })?;
+            // After the parts, so that the manifest is not there without them.
+            fs::create_dir_all(folder).map_err(ArtifactError::io("create the folder", folder))?;
+            self.publish_manifest(folder, &manifest)?;
+        } else {
+            pull_folder(remote, &name, temporary.path(), &listed(&manifest))?;
+            move_into_place(temporary, folder, last)?;
         }
         drop(lock);
         locked(&connection.complete).insert(name);
@@ -270,7 +279,29 @@ impl Store {
     }
 }
 
-/// The files that a manifest lists.
+/// Renames a downloaded folder, unless another process has downloaded or made it.
+fn move_into_place(temporary: Temporary, folder: &Path, last: &str) -> Result<(), ArtifactError> {
+    sync_folder(temporary.path())?;
+    if let Some(parent) = folder.parent() {
+        fs::create_dir_all(parent).map_err(ArtifactError::io("create the folder", parent))?;
+    }
+    let _publication = Publication::wait();
+    match fs::rename(temporary.path(), folder) {
+        Ok(()) => temporary.published(),
+        Err(_) if folder.join(last).exists() => {}
+        Err(error) => return Err(ArtifactError::io("publish", folder)(error)),
+    }
+    Ok(())
+}
+
+/// Names of the parts that a manifest lists; none if the artifact is not in parts.
+fn parts_of(manifest: &Manifest) -> Vec<String> {
+    let parts = manifest.tables.values().flat_map(|table| &table.parts);
+    let names: BTreeSet<String> = parts.map(|part| part.part.clone()).collect();
+    names.into_iter().collect()
+}
+
+/// The files that the manifest of an artifact of one part, or of a part, lists.
 fn listed(manifest: &Manifest) -> Vec<Listed> {
     let tables = manifest.tables.values().map(|table| Listed {
         file: table.file.clone(),
@@ -291,12 +322,8 @@ fn listed(manifest: &Manifest) -> Vec<Listed> {
 /// # Errors
 /// [`ArtifactError::NotReproducible`] if an object has other bytes than the file, [`ArtifactError::Remote`], [`ArtifactError::Io`].
 pub fn push_folder(remote: &dyn Remote, folder: &Path, name: &str, last: &str) -> Result<(), ArtifactError> {
-    let marker = Upload::new(folder, name, last.to_owned());
-    let content = Arc::new(marker.read()?);
-    match marker.compare(remote, &content)? {
-        Some(true) => return Ok(()),
-        Some(false) => return Err(marker.differs(remote)),
-        None => {}
+    if is_complete(remote, folder, name, last)? {
+        return Ok(());
     }
     let (mut small, mut large) = (Vec::new(), Vec::new());
     for (file, bytes) in files_in(folder).map_err(ArtifactError::io("list", folder))? {
@@ -309,7 +336,16 @@ pub fn push_folder(remote: &dyn Remote, folder: &Path, name: &str, last: &str) -
     // An object is in memory while it is sent, so large ones are sent one after another.
     each(&small, send)?;
     large.iter().try_for_each(send)?;
-    marker.send(remote, &content)
+    send(&Upload::new(folder, name, last.to_owned()))
+}
+
+/// Whether the object store has the file `last` of a folder, which was uploaded after the others.
+fn is_complete(remote: &dyn Remote, folder: &Path, name: &str, last: &str) -> Result<bool, ArtifactError> {
+    let marker = Upload::new(folder, name, last.to_owned());
+    match marker.compare(remote, &marker.read()?)? {
+        Some(false) => Err(marker.differs(remote)),
+        found => Ok(found.is_some()),
+    }
 }
 
 /// Downloads files of the folder `name` of the object store to the folder `to`, and checks their lengths and hashes.

@@ -14,7 +14,7 @@ use serde_json::Value;
 use crate::canonical::{canonical_json, canonical_text};
 use crate::error::ArtifactError;
 use crate::key::{Key, Recipe, Stage};
-use crate::manifest::MANIFEST_NAME;
+use crate::manifest::{MANIFEST_NAME, PARTS};
 use crate::owner::{is_leftover, prefix};
 use crate::reader::Artifact;
 use crate::remote::{Connection, connection};
@@ -37,12 +37,14 @@ pub struct Store {
     verified: Option<Arc<Mutex<Verified>>>,
     /// The object store of which this store is the cache.
     pub(crate) connection: Option<Arc<Connection>>,
+    /// Whether artifacts in parts are verified part by part, when these are read.
+    by_part: bool,
 }
 
 /// The files of artifacts by the artifact's folder.
 type Verified = BTreeMap<PathBuf, Vec<FileState>>;
 
-/// Name, device, inode, length, and times of the last write and of the last change of a file. Every write changes the last one.
+/// Path in the folder, device, inode, length, and times of the last write and of the last change of a file. Every write changes the last one.
 type FileState = (OsString, u64, u64, u64, [i64; 2], [i64; 2]);
 
 impl Store {
@@ -58,6 +60,7 @@ impl Store {
             root: root.to_path_buf(),
             verified: None,
             connection: connection(root),
+            by_part: false,
         };
         match store.remove_leftovers() {
             // Existing artifacts can still be read and verified. The first write returns an error.
@@ -125,6 +128,8 @@ impl Store {
         match fs::symlink_metadata(&folder) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(ArtifactError::io("access", &folder)(error)),
+            // Parts have been published, but the manifest of the artifact has not.
+            Ok(_) if !folder.join(MANIFEST_NAME).exists() && folder.join(PARTS).is_dir() => Ok(None),
             Ok(_) => {
                 let artifact = Artifact::open(&folder)?;
                 if artifact.key() != key {
@@ -134,10 +139,20 @@ impl Store {
                         found: artifact.key().to_string(),
                     });
                 }
-                self.verify(&artifact)?;
+                // A process that makes some parts verifies those that it reads.
+                if !(self.by_part && artifact.in_parts()) {
+                    self.verify(&artifact)?;
+                }
                 Ok(Some(artifact))
             }
         }
+    }
+
+    /// The same store, for a process that makes some parts of an artifact: [`Store::lookup`] does not read the files of artifacts in
+    /// parts, because [`Artifact::part`] verifies those of a part.
+    #[must_use]
+    pub fn verifying_by_part(self) -> Self {
+        Self { by_part: true, ..self }
     }
 
     fn verify(&self, artifact: &Artifact) -> Result<(), ArtifactError> {
@@ -237,20 +252,28 @@ pub(crate) fn record(root: &Path, stage: &str, key: &Key) -> PathBuf {
     root.join(RUNS).join(format!("{stage}-{}.json", key.short()))
 }
 
+/// The states of all files and folders in a folder, by their paths relative to it.
 fn file_states(folder: &Path) -> io::Result<Vec<FileState>> {
-    let state = |entry: io::Result<fs::DirEntry>| {
-        let entry = entry?;
-        let of = entry.metadata()?;
-        Ok((
-            entry.file_name(),
-            of.dev(),
-            of.ino(),
-            of.len(),
-            [of.mtime(), of.mtime_nsec()],
-            [of.ctime(), of.ctime_nsec()],
-        ))
-    };
-    let mut states: Vec<FileState> = fs::read_dir(folder)?.map(state).collect::<io::Result<_>>()?;
+    let mut states = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(inner) = folders.pop() {
+        for entry in fs::read_dir(&inner)? {
+            let entry = entry?;
+            let of = entry.metadata()?;
+            let path = entry.path();
+            states.push((
+                path.strip_prefix(folder).unwrap_or(&path).as_os_str().to_owned(),
+                of.dev(),
+                of.ino(),
+                of.len(),
+                [of.mtime(), of.mtime_nsec()],
+                [of.ctime(), of.ctime_nsec()],
+            ));
+            if of.is_dir() {
+                folders.push(path);
+            }
+        }
+    }
     states.sort();
     Ok(states)
 }

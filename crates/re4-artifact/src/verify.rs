@@ -63,12 +63,12 @@ pub fn verify(path: &Path, described: Described<'_>) -> Result<VerifyReport, Art
         for batch in table.batches()? {
             batch?;
         }
-        files.push(VerifiedFile {
-            file: summary.file.clone(),
-            bytes: summary.bytes,
-            rows: Some(summary.rows),
-            blake3: summary.blake3,
-        });
+        files.extend(summary.files().into_iter().map(|file| VerifiedFile {
+            file: file.file,
+            bytes: file.bytes,
+            rows: Some(file.rows),
+            blake3: file.blake3,
+        }));
     }
     for (name, summary) in &manifest.files {
         files.push(VerifiedFile {

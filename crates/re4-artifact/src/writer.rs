@@ -22,8 +22,9 @@ use crate::columns::{Columns, check_rows};
 use crate::disk::sync_folder;
 use crate::error::ArtifactError;
 use crate::key::Recipe;
-use crate::manifest::{FileSummary, MANIFEST_NAME, Manifest, TableSummary};
+use crate::manifest::{Division, FileSummary, Manifest, TableSummary};
 use crate::owner::{hold, prefix};
+use crate::parts::Part;
 use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
 use crate::store::Store;
@@ -50,6 +51,8 @@ pub struct ArtifactSummary {
 pub struct Writer {
     store: Store,
     recipe: Recipe,
+    /// The part that is written; `None` for a whole artifact.
+    part: Option<Part>,
     folder: PathBuf,
     temporary: Temporary,
     lock: Option<File>,
@@ -78,11 +81,9 @@ impl Temporary {
         })
     }
 
-    /// A temporary folder for what will be at `folder`, with the lock that shows others that its writer runs. It is removed if the
-    /// process is interrupted.
-    pub(crate) fn held(store: &Store, folder: &Path) -> Result<(Self, Option<File>), ArtifactError> {
-        let name = folder.file_name().map(|name| name.to_string_lossy().replace('-', "."));
-        let temporary = Self::new(store, &name.unwrap_or_default())?;
+    /// A temporary folder with the lock that shows others that its writer runs. It is removed if the process is interrupted.
+    pub(crate) fn held(store: &Store, name: &str) -> Result<(Self, Option<File>), ArtifactError> {
+        let temporary = Self::new(store, name)?;
         let lock = hold(temporary.path());
         locked(&OWN).insert(temporary.path().to_path_buf());
         Ok((temporary, lock))
@@ -140,12 +141,21 @@ pub(crate) fn remove_own() {
 
 impl Writer {
     pub(crate) fn new(store: &Store, recipe: &Recipe) -> Result<Self, ArtifactError> {
-        let key = recipe.key();
-        let folder = store.folder(recipe.stage(), &key);
-        let (temporary, lock) = Temporary::held(store, &folder)?;
+        let folder = store.folder(recipe.stage(), &recipe.key());
+        Self::into(store, recipe, folder, None)
+    }
+
+    /// A writer of a part.
+    pub(crate) fn of_part(store: &Store, recipe: &Recipe, part: Part) -> Result<Self, ArtifactError> {
+        Self::into(store, recipe, store.part_folder(recipe, part), Some(part))
+    }
+
+    fn into(store: &Store, recipe: &Recipe, folder: PathBuf, part: Option<Part>) -> Result<Self, ArtifactError> {
+        let (temporary, lock) = Temporary::held(store, &recipe.key().short())?;
         Ok(Self {
             store: store.clone(),
             recipe: recipe.clone(),
+            part,
             folder,
             temporary,
             lock,
@@ -221,6 +231,11 @@ impl Writer {
         Ok(())
     }
 
+    /// Whether a table was started.
+    pub fn has_tables(&self) -> bool {
+        !locked(&self.tables).is_empty()
+    }
+
     /// The temporary folder, for scratch files. They must be deleted before the artifact is published.
     pub fn scratch(&self) -> &Path {
         self.temporary.path()
@@ -246,14 +261,15 @@ impl Writer {
             let table = table.clone().ok_or_else(|| self.unfinished(name, "was not finished"))?;
             tables.insert(name.to_owned(), table);
         }
-        let manifest = Manifest::new(
-            &self.recipe,
-            tables,
-            locked(&self.files).clone(),
-            summary.summary,
-            summary.warnings,
-        )?;
-        let path = self.temporary.path().join(MANIFEST_NAME);
+        let division = self
+            .part
+            .map_or(Division::None, |part| Division::Part(part.to_string()));
+        let files = locked(&self.files).clone();
+        if let (Some(_), Some(name)) = (self.part, files.keys().next()) {
+            return Err(self.unfinished(name, "is not a table, and a part contains only tables"));
+        }
+        let manifest = Manifest::new(&self.recipe, tables, files, summary, division)?;
+        let path = self.temporary.path().join(manifest.name());
         File::create_new(&path)
             .and_then(|mut file| {
                 file.write_all(manifest.to_text().map_err(io::Error::other)?.as_bytes())?;
@@ -263,7 +279,7 @@ impl Writer {
         let store = self.store.clone();
         let artifact = self.move_to_final_folder(&manifest)?;
         // Not under the right to publish, which an interrupt waits for.
-        store.push(artifact.path(), MANIFEST_NAME)?;
+        store.push(artifact.path(), manifest.name())?;
         Ok(artifact)
     }
 
@@ -271,14 +287,19 @@ impl Writer {
         let Self {
             store,
             recipe,
+            part,
             folder,
             temporary,
             lock,
             ..
         } = self;
         let _publication = Publication::wait();
-        let key = recipe.key();
-        if let Some(theirs) = store.lookup_here(recipe.stage(), &key)? {
+        // In the folder of the store alone, because an interrupt waits for the right to publish.
+        let published = || match part {
+            Some(part) => store.part_here(&recipe, part),
+            None => store.lookup_here(recipe.stage(), &recipe.key()),
+        };
+        if let Some(theirs) = published()? {
             return same_bytes(theirs, ours);
         }
         if let Some(parent) = folder.parent() {
@@ -288,7 +309,7 @@ impl Writer {
         // No lock is needed: a rename does not replace a folder that is not empty.
         if let Err(error) = fs::rename(temporary.path(), &folder) {
             // Another process, perhaps on another machine, may have published the artifact since the lookup.
-            return match store.lookup_here(recipe.stage(), &key)? {
+            return match published()? {
                 Some(theirs) => same_bytes(theirs, ours),
                 None => Err(ArtifactError::io("publish", &folder)(error)),
             };
@@ -298,7 +319,7 @@ impl Writer {
         if let Some(parent) = folder.parent() {
             sync_folder(parent)?;
         }
-        Artifact::open(&folder)
+        Ok(Artifact::with_manifest(folder, ours.clone()))
     }
 
     fn unfinished(&self, table: &str, reason: &'static str) -> ArtifactError {
@@ -311,7 +332,7 @@ impl Writer {
 }
 
 /// Returns the artifact that another run published if it equals the one that this run wrote.
-fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactError> {
+pub(crate) fn same_bytes(theirs: Artifact, ours: &Manifest) -> Result<Artifact, ArtifactError> {
     let what = if theirs.manifest().tables != ours.tables {
         let differing = ours
             .tables
@@ -470,6 +491,7 @@ impl TableWriter {
             row_group_rows: self.row_group_rows as u64,
             bytes: *bytes,
             blake3: hasher.finalize().into(),
+            parts: Vec::new(),
         };
         locked(&self.tables).insert(self.spec.name, Some(summary.clone()));
         Ok(summary)

@@ -201,7 +201,7 @@ fn a_newer_manifest_is_refused() {
     assert_eq!(
         artifact.complaint(),
         format!(
-            "cannot read artifact {}: its manifest has format 3, but this build reads formats up to 1; update re4-pipe",
+            "cannot read artifact {}: its manifest has format 3, but this build reads formats up to 2; update re4-pipe",
             artifact.folder.display()
         )
     );

@@ -1,9 +1,10 @@
 //! The interface of demonstration sources, independent of their format.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::error::IngestError;
@@ -32,7 +33,13 @@ pub trait DemoSource: Sync {
     /// The requested demonstrations, in order.
     fn demos(&self) -> &[DemoName];
 
-    /// Reads the requested demonstrations in order and passes each to `take` with its index, or the reason why it cannot be used.
+    /// Whether a range of the demonstrations can be read without the others. If not, the artifact is made in one part.
+    fn can_be_read_in_parts(&self) -> bool {
+        true
+    }
+
+    /// Reads a range of the requested demonstrations in order and passes each to `take` with its index among all of them, or the reason
+    /// why it cannot be used.
     /// Only a bounded number of demonstrations is in memory at once, unless the format stores all numbers in arrays over the
     /// whole dataset.
     ///
@@ -40,6 +47,7 @@ pub trait DemoSource: Sync {
     /// A fault of the dataset as a whole, or an error that `take` returns.
     fn episodes<E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E>;
 
@@ -177,21 +185,50 @@ pub struct ImageBlock {
     pub bytes: Vec<u8>,
 }
 
+/// The first of many, and their number.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FirstOf<T> {
+    /// The first one; `None` if there is none.
+    pub first: Option<T>,
+    /// Number of all.
+    pub count: usize,
+}
+
+impl<T> Default for FirstOf<T> {
+    fn default() -> Self {
+        Self { first: None, count: 0 }
+    }
+}
+
+impl<T> FirstOf<T> {
+    fn add(&mut self, next: T) {
+        self.first.get_or_insert(next);
+        self.count += 1;
+    }
+
+    fn append(&mut self, next: Self) {
+        self.first = self.first.take().or(next.first);
+        self.count += next.count;
+    }
+}
+
 /// Statistics about the demonstrations that were read, for warnings.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tally {
-    /// The demonstrations that were used, in order, with their numbers of frames.
-    pub demos: Vec<(DemoName, usize)>,
+    /// Number of demonstrations that were used.
+    pub episodes: usize,
+    /// Frames of these demonstrations.
+    pub frames: usize,
     /// The demonstrations that cannot be used.
     pub left_out: Vec<LeftOut>,
     /// Differences (metres, radians) between recorded and computed absolute actions, of all demonstrations that have both kinds.
     pub goal_errors: Vec<(f64, f64)>,
     /// Demonstrations with only one kind of action.
-    pub not_compared: Vec<String>,
+    pub not_compared: FirstOf<String>,
     /// Datasets in single precision, by demonstration.
-    single_precision: Vec<(String, &'static str)>,
+    single_precision: FirstOf<(String, String)>,
     /// Descriptions of data that was skipped because of invalid values.
-    skipped: Vec<String>,
+    skipped: FirstOf<String>,
 }
 
 impl Tally {
@@ -200,18 +237,25 @@ impl Tally {
         let name = &episode.name.name;
         match &episode.goal_errors {
             Some(errors) => self.goal_errors.extend(errors),
-            None => self.not_compared.push(name.clone()),
+            None => self.not_compared.add(name.clone()),
         }
-        let single = episode.single_precision.iter();
-        self.single_precision
-            .extend(single.map(|&dataset| (name.clone(), dataset)));
-        self.skipped.append(&mut episode.skipped);
-        self.demos.push((episode.name.clone(), episode.frames.count()));
+        for &dataset in &episode.single_precision {
+            self.single_precision.add((name.clone(), dataset.to_owned()));
+        }
+        episode.skipped.drain(..).for_each(|skipped| self.skipped.add(skipped));
+        self.episodes += 1;
+        self.frames += episode.frames.count();
     }
 
-    /// Frames of all demonstrations.
-    pub fn frames(&self) -> usize {
-        self.demos.iter().map(|(_, frames)| frames).sum()
+    /// Adds the statistics of later demonstrations.
+    pub fn append(&mut self, later: Self) {
+        self.episodes += later.episodes;
+        self.frames += later.frames;
+        self.left_out.extend(later.left_out);
+        self.goal_errors.extend(later.goal_errors);
+        self.not_compared.append(later.not_compared);
+        self.single_precision.append(later.single_precision);
+        self.skipped.append(later.skipped);
     }
 
     /// The warning about demonstrations that were left out of `of` in total, if any.
@@ -224,13 +268,13 @@ impl Tally {
     /// Warnings about single demonstrations.
     pub(crate) fn warnings(&self) -> Vec<Warning> {
         let mut warnings = Vec::new();
-        if let Some(first) = self.skipped.first() {
+        if let Some(first) = &self.skipped.first {
             let message = format!("{first}; these values are not ingested and stay null in the table");
-            warnings.push(Warning::new(WarningCode::SkippedValues, message, self.skipped.len()));
+            warnings.push(Warning::new(WarningCode::SkippedValues, message, self.skipped.count));
         }
-        if let Some((demo, dataset)) = self.single_precision.first() {
+        if let Some((demo, dataset)) = &self.single_precision.first {
             let message = format!("{demo}/{dataset} has single precision and was converted to double precision");
-            let count = self.single_precision.len();
+            let count = self.single_precision.count;
             warnings.push(Warning::new(WarningCode::SinglePrecision, message, count));
         }
         warnings

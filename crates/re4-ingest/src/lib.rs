@@ -25,7 +25,7 @@ mod store;
 mod warning;
 mod zarr;
 
-pub use demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Matrix, Tally};
+pub use demos::{DemoName, DemoSource, Episode, FirstOf, Frames, ImageBlock, Info, Matrix, Tally};
 pub use describe::{Description, Fact, Use};
 pub use error::{Fault, IngestError};
 pub use left_out::{OnBad, refusal};

@@ -1,18 +1,23 @@
 //! The arguments of the command line.
 
 mod addresses;
+mod common;
 mod curate;
 mod export;
+mod plan;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
-use re4_stages::{Notes, Runner, Seeds, Settings};
+use re4_artifact::{Shard, Stage};
+use re4_fault::ensure;
+use re4_stages::{Notes, Runner, Seeds, Settings, Share};
 
 pub(crate) use self::curate::{AimArgument, ByArgument};
 pub(crate) use self::export::{ExportArguments, ExportFormat};
+pub(crate) use self::plan::{MergeArguments, PlanArguments, StatusArguments};
 
 /// From robot demonstrations to explainable imitation policies.
 ///
@@ -58,6 +63,12 @@ pub(crate) enum Command {
     Rollout(RolloutArguments),
     /// Run the stages of a pipeline: up to the rollouts, or to the audit if it has no table `[rollout]`
     Run(RolloutArguments),
+    /// Publish an artifact whose parts were made with --shard; exits with code 3 if parts are missing
+    Merge(MergeArguments),
+    /// List the commands that run a pipeline in parts, for a cluster, and what they need
+    Plan(PlanArguments),
+    /// Show which parts of a plan exist
+    Status(StatusArguments),
     /// Compare policies over equal seeds: run the cells of a suite file; writes the `comparison` artifact and an HTML page
     Compare(CompareArguments),
     /// Compute what changes if each demonstration is left out, exactly; writes the `influence` artifact
@@ -94,39 +105,6 @@ pub(crate) enum Command {
     IngestWorker,
 }
 
-impl Command {
-    /// The options that all commands have, except for the worker, which only the program itself starts.
-    pub(crate) fn common(&mut self) -> Option<&mut Common> {
-        match self {
-            Self::Ingest(stage)
-            | Self::Segment(stage)
-            | Self::TrainPose(stage)
-            | Self::Train(TrainArguments { stage, .. })
-            | Self::Index(stage)
-            | Self::Scenes(stage)
-            | Self::Audit(AuditArguments { stage, .. })
-            | Self::Replay(ReplayArguments { stage, .. }) => Some(&mut stage.common),
-            Self::Rollout(rollout) | Self::Run(rollout) => Some(&mut rollout.stage.common),
-            Self::Influence(InfluenceArguments { stage, .. }) | Self::Curate(CurateArguments { stage, .. }) => {
-                Some(&mut stage.common)
-            }
-            Self::Compare(CompareArguments { common, .. })
-            | Self::Video(VideoArguments { common, .. })
-            | Self::Verify(VerifyArguments { common, .. })
-            | Self::Inspect(InspectArguments { common, .. })
-            | Self::Report(ReportArguments { common, .. })
-            | Self::Export(ExportArguments { common, .. })
-            | Self::Fetch(FetchArguments { common, .. })
-            | Self::Doctor(DoctorArguments { common, .. })
-            | Self::Schemas(SchemasArguments { common, .. })
-            | Self::Reference(ReferenceArguments { common, .. }) => Some(common),
-            #[cfg(feature = "query")]
-            Self::Query(QueryArguments { common, .. }) => Some(common),
-            Self::IngestWorker => None,
-        }
-    }
-}
-
 /// Options of all commands.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Common {
@@ -161,14 +139,34 @@ pub(crate) struct StageArguments {
     /// Do not ingest images; same as --set ingest.images=false
     #[arg(long)]
     pub(crate) no_images: bool,
+    /// Make only share I of N of the parts of this stage's artifact, such as 0/8; re4-pipe merge publishes it afterwards
+    #[arg(long, value_name = "I/N")]
+    pub(crate) shard: Option<Shard>,
     /// Options of all commands.
     #[command(flatten)]
     pub(crate) common: Common,
 }
 
 impl StageArguments {
-    /// Reads the pipeline and applies the overrides: first those of the command line, then `more_overrides`.
+    /// Reads the pipeline and applies the overrides: first those of the command line, then `more_overrides`. For commands that are not
+    /// made in parts.
     pub(crate) fn runner(&self, more_overrides: &[String]) -> Result<Runner> {
+        ensure!(
+            self.shard.is_none(),
+            "--shard does not apply to this command";
+            "give it to a command that runs one stage, such as ingest, segment, index or rollout"
+        );
+        self.runner_sharing(Share::Whole, more_overrides)
+    }
+
+    /// As [`Self::runner`], for a command that makes the artifact of `stage` or a share of it.
+    pub(crate) fn runner_of(&self, stage: Stage, more_overrides: &[String]) -> Result<Runner> {
+        let share = self.shard.map_or(Share::Whole, |shard| Share::Parts(stage, shard));
+        self.runner_sharing(share, more_overrides)
+    }
+
+    /// As [`Self::runner`], with a given share.
+    pub(crate) fn runner_sharing(&self, share: Share, more_overrides: &[String]) -> Result<Runner> {
         let mut overrides = self.set.clone();
         if self.no_images {
             overrides.push("ingest.images=false".to_owned());
@@ -180,6 +178,7 @@ impl StageArguments {
             artifacts: &self.common.artifacts,
             jobs: self.common.jobs,
             notes: Notes::new(self.common.quiet),
+            share,
         })
     }
 }
@@ -237,8 +236,23 @@ pub(crate) struct RolledArguments {
 }
 
 impl RolledArguments {
+    /// Reads the pipeline and applies the overrides. `share` is what this process makes of an artifact in parts.
+    pub(crate) fn runner_sharing(&self, share: Share, stage: &StageArguments) -> Result<Runner> {
+        stage.runner_sharing(share, &self.overrides())
+    }
+
     /// Reads the pipeline and applies the overrides.
     pub(crate) fn runner(&self, stage: &StageArguments) -> Result<Runner> {
+        stage.runner(&self.overrides())
+    }
+
+    /// As [`Self::runner`], for a command that makes the artifact of `stage` or a share of it.
+    pub(crate) fn runner_of(&self, of: Stage, stage: &StageArguments) -> Result<Runner> {
+        stage.runner_of(of, &self.overrides())
+    }
+
+    /// The overrides that the options stand for.
+    pub(crate) fn overrides(&self) -> Vec<String> {
         // A value of an override as a string, whatever it looks like.
         let text = |value: &str| format!("\"{}\"", value.replace(['"', '\\'], ""));
         let seeds = self
@@ -247,8 +261,7 @@ impl RolledArguments {
             .map(|seeds| format!("rollout.seeds={}", text(seeds)));
         let kind = self.policy.as_deref().map(kind_override);
         let steps = self.max_steps.map(|steps| format!("rollout.max_steps={steps}"));
-        let overrides: Vec<String> = [seeds, kind, steps].into_iter().flatten().collect();
-        stage.runner(&overrides)
+        [seeds, kind, steps].into_iter().flatten().collect()
     }
 }
 

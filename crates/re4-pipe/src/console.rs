@@ -2,15 +2,30 @@
 
 use std::io::Write as _;
 use std::path::Path;
+use std::process::ExitCode;
 
 use anyhow::Result;
 use indicatif::ProgressBar;
 use re4_fault::{Fault, Remedy as _, fault};
-use re4_stages::{Notes, fault_of};
+use re4_stages::{Notes, Partly, fault_of};
 use serde_json::{Value, json};
 
 use crate::arguments::Common;
 use crate::output::Output;
+
+/// Prints which share of an artifact the process has made.
+pub(crate) fn print_share(share: &Partly, json: bool) -> ExitCode {
+    let printed = if json {
+        let value = serde_json::to_value(share).unwrap_or_default();
+        writeln!(std::io::stdout(), "{}", value["made"])
+    } else {
+        writeln!(std::io::stdout(), "{share}")
+    };
+    match closed_pipe_is_fine(printed) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(_) => ExitCode::from(2),
+    }
+}
 
 /// Prints results, notes and progress bars.
 #[derive(Debug, Clone, Copy)]

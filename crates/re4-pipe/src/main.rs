@@ -1,7 +1,7 @@
 //! The program `re4-pipe`: from robot demonstrations to explainable imitation policies.
 //!
 //! This crate parses arguments, prints results and sets the exit code. The stages are implemented in `re4-stages`. Exit codes: 0
-//! success, 1 a check failed, 2 an error of the input or the machine, 75 interrupted.
+//! success, 1 a check failed, 2 an error of the input or the machine, 3 parts of an artifact are missing, 75 interrupted.
 
 mod arguments;
 mod commands;
@@ -13,9 +13,12 @@ mod terminal;
 use std::process::ExitCode;
 
 use clap::Parser as _;
-use re4_stages::{TRY_AGAIN, answer, was_interrupted};
+use re4_stages::{Partly, TRY_AGAIN, answer, was_interrupted};
 
 use crate::arguments::{Arguments, Command};
+
+/// Exit code if parts of an artifact are missing.
+const PARTS_MISSING: u8 = 3;
 
 /// Parses the command line, runs the command, prints errors and returns the exit code.
 fn main() -> ExitCode {
@@ -46,6 +49,9 @@ fn main() -> ExitCode {
         Command::Scenes(arguments) => commands::run::scenes(&arguments),
         Command::Rollout(arguments) => commands::run::rollout(&arguments),
         Command::Run(arguments) => commands::run::run(&arguments),
+        Command::Merge(arguments) => commands::plan::merge(&arguments),
+        Command::Plan(arguments) => commands::plan::plan(&arguments),
+        Command::Status(arguments) => commands::plan::status(&arguments),
         Command::Curate(arguments) => commands::curate::curate(&arguments),
         Command::Influence(arguments) => commands::influence::influence(&arguments),
         Command::Compare(arguments) => commands::compare::compare(&arguments),
@@ -72,7 +78,14 @@ fn main() -> ExitCode {
         Ok(commands::Outcome::GateFailed) => ExitCode::from(1),
         Err(error) => {
             if answer() {
-                console::print_error(&error, json);
+                match error.downcast_ref::<Partly>() {
+                    Some(partly @ Partly::Made { .. }) => return console::print_share(partly, json),
+                    Some(Partly::Missing { .. }) => {
+                        console::print_error(&error, json);
+                        return ExitCode::from(PARTS_MISSING);
+                    }
+                    None => console::print_error(&error, json),
+                }
                 ExitCode::from(if was_interrupted() { TRY_AGAIN } else { 2 })
             } else {
                 // The watchdog prints the error and ends the process.

@@ -27,7 +27,7 @@ struct Found<'a> {
     entry: &'a Entry,
     spec: &'static TableSpec,
     version: u32,
-    path: PathBuf,
+    paths: Vec<PathBuf>,
 }
 
 impl Sources {
@@ -44,20 +44,24 @@ impl Sources {
         let mut origins = BTreeMap::new();
         for found in opened.into_iter().flatten() {
             let found = found?;
-            let path = PlRefPath::try_from_path(&found.path).or_fault(
-                || fault!("cannot query {}: its name is not UTF-8", found.path.display(); "rename its folder"),
-            )?;
             let origin = (found.entry.name.clone(), found.entry.dataset.clone());
-            origins.insert(path.as_str().to_owned(), origin);
+            let mut paths = Vec::with_capacity(found.paths.len());
+            for path in &found.paths {
+                let path = PlRefPath::try_from_path(path).or_fault(
+                    || fault!("cannot query {}: its name is not UTF-8", path.display(); "rename its folder"),
+                )?;
+                origins.insert(path.as_str().to_owned(), origin.clone());
+                paths.push(path);
+            }
             match parts
                 .iter_mut()
                 .find(|part| std::ptr::eq(part.spec, found.spec) && part.version == found.version)
             {
-                Some(part) => part.paths.push(path),
+                Some(part) => part.paths.extend(paths),
                 None => parts.push(Part {
                     spec: found.spec,
                     version: found.version,
-                    paths: vec![path],
+                    paths,
                 }),
             }
         }
@@ -92,7 +96,7 @@ fn find<'a>(entry: &'a Entry, specs: &[&'static TableSpec]) -> Option<Result<Fou
                     entry,
                     spec,
                     version: table.summary().schema_version,
-                    path: table.path().to_path_buf(),
+                    paths: table.paths(),
                 }));
             }
             Err(ArtifactError::OtherDomain { .. }) if specs.len() > 1 => {}

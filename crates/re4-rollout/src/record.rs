@@ -77,7 +77,7 @@ pub trait Opened<D: Recorded>: Send + Sync {
     ///
     /// # Errors
     /// If the table cannot be written.
-    fn begin<'a>(&'a self, writer: &Writer) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError>;
+    fn begin<'a>(&'a self, writer: &Writer, first: u32) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError>;
 
     /// Rolls out episodes, each without its own set of demonstrations, and reports what each depends on. Nothing is written. Returns
     /// `None` if the policy cannot do without single demonstrations, as learned policies cannot.
@@ -132,10 +132,10 @@ where
         start(&self.factory, &self.names, seed, first)
     }
 
-    fn begin<'a>(&'a self, writer: &Writer) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError> {
+    fn begin<'a>(&'a self, writer: &Writer, first: u32) -> Result<Box<dyn Recording<D> + 'a>, ArtifactError> {
         Ok(Box::new(Detailed::<'a, D, F> {
             opened: self,
-            episodes: 0,
+            episodes: first,
             details: writer.rows()?,
         }))
     }

@@ -79,6 +79,21 @@ pub fn local_artifacts(artifacts: &Path) -> Result<PathBuf> {
     Ok(store)
 }
 
+/// A folder in this machine's copies of an object store as an address, for commands on other machines. Other paths are returned as they
+/// are.
+pub fn address_of(path: &Path) -> PathBuf {
+    let of = |root: &Path| {
+        let remote = attached(root)?;
+        let inside = path.strip_prefix(root).ok()?;
+        Some(Path::new(remote.address()).join(inside))
+    };
+    // `join` of an empty path would add a slash.
+    let address = attached(path).map(|remote| PathBuf::from(remote.address()));
+    address
+        .or_else(|| path.ancestors().skip(1).find_map(of))
+        .unwrap_or_else(|| path.to_path_buf())
+}
+
 /// The cache of an address: a folder whose name begins with the address, for users, and ends with its hash.
 fn cache_of(address: &str) -> Result<PathBuf> {
     let folder = |variable: &str, inside: &str| {
@@ -130,6 +145,7 @@ mod tests {
             assert_eq!(local_store(path).unwrap(), path);
             assert_eq!(local_artifact(path).unwrap(), path);
             assert_eq!(local_artifacts(path).unwrap(), path);
+            assert_eq!(address_of(path), path);
         }
     }
 

@@ -10,7 +10,9 @@ pub mod fuzzing;
 mod inputs;
 mod interrupt;
 mod notes;
+mod parts;
 mod pipeline;
+mod plan;
 mod reference;
 mod rerender;
 mod runner;
@@ -20,16 +22,18 @@ pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
-pub use addresses::{is_address, local_artifact, local_artifacts, local_store};
+pub use addresses::{address_of, is_address, local_artifact, local_artifacts, local_store};
 pub use doctor::{Finding, State, doctor};
 pub use inputs::simulators::TaskScene;
 pub use inputs::sources::data_folders;
 pub use interrupt::{Interrupt, TRY_AGAIN, answer, was_interrupted};
 pub use notes::{Notes, fault_of, print_error};
+pub use parts::{Partly, Share};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
     RolloutSection, Seeds, Task, Variant, read_pipeline, schema,
 };
+pub use plan::PlannedStage;
 pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, leaves, warning_text};

@@ -117,6 +117,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         re4_segment::SegmentError,
         re4_sim::SimError,
         re4_train::TrainError,
+        crate::parts::Partly,
         crate::stages::WorkerCrashed,
     );
     #[cfg(feature = "object-store")]

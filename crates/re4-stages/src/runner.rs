@@ -17,6 +17,7 @@ use tracing::{debug, info, info_span};
 use crate::addresses::local_store;
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
+use crate::parts::{Parting, Share};
 use crate::pipeline::{Pipeline, read_pipeline};
 
 /// Settings of a [`Runner`].
@@ -32,6 +33,8 @@ pub struct Settings<'a> {
     pub jobs: Option<NonZeroUsize>,
     /// Messages to the user.
     pub notes: Notes,
+    /// What this process makes of an artifact in parts.
+    pub share: Share,
 }
 
 /// What all stages need besides their settings: the artifact store, the messages to the user and Ctrl-C. Pipelines that one process
@@ -41,6 +44,8 @@ pub struct Session {
     pub(crate) store: Store,
     /// Messages to the user.
     pub notes: Notes,
+    /// What this process makes of an artifact in parts.
+    pub(crate) share: Share,
     /// Whether the user asked to stop, for instance by Ctrl-C.
     pub(crate) interrupt: Interrupt,
     /// Warnings of the stages run so far.
@@ -77,6 +82,7 @@ impl Session {
             interrupt: Interrupt::listen(Some(&store)),
             store,
             notes,
+            share: Share::Whole,
             warnings: Mutex::default(),
             said: None,
             measured: Mutex::default(),
@@ -99,6 +105,7 @@ impl Session {
         let session = Self {
             store: self.store.clone(),
             notes: self.notes,
+            share: self.share,
             interrupt: self.interrupt.clone(),
             warnings: Mutex::default(),
             said: self.said.clone(),
@@ -169,6 +176,13 @@ impl Runner {
         }
     }
 
+    /// The same runner with another share of artifacts in parts.
+    pub(crate) fn sharing(&self, share: Share) -> Self {
+        let mut runner = self.session.runner(&self.file, self.pipeline.clone());
+        runner.session.share = share;
+        runner
+    }
+
     /// Reads the pipeline file, sets up threads and opens the store.
     ///
     /// # Errors
@@ -176,7 +190,11 @@ impl Runner {
     pub fn new(settings: &Settings<'_>) -> Result<Self> {
         let pipeline = read_pipeline(settings.pipeline, &settings.overrides)?;
         info!(file = %settings.pipeline.display(), overrides = ?settings.overrides, "pipeline read");
-        let session = Session::open(settings.artifacts, settings.jobs, settings.notes)?;
+        let mut session = Session::open(settings.artifacts, settings.jobs, settings.notes)?;
+        session.share = settings.share;
+        if settings.share != Share::Whole {
+            session.store = session.store.verifying_by_part();
+        }
         Ok(session.runner(settings.pipeline, pipeline))
     }
 }
@@ -207,10 +225,35 @@ impl Session {
         if let Some(built) = self.unchanged(recipe, start)? {
             return Ok(built);
         }
+        self.share.builds_whole(&self.store, recipe)?;
         let writer = self.store.begin(recipe)?;
         let summary = make(&writer)?;
         self.interrupt.check(recipe.stage().as_str())?;
         self.made(writer.publish(summary)?, recipe, start)
+    }
+
+    /// As [`Session::build`], for an artifact of several parts. See [`Parting::make`].
+    pub(crate) fn build_parts(
+        &self,
+        recipe: &Recipe,
+        parts: u32,
+        make: impl Fn(&Writer, u32) -> Result<ArtifactSummary>,
+        finish: impl Fn(&[Artifact], &Writer) -> Result<ArtifactSummary>,
+    ) -> Result<Built> {
+        let start = Instant::now();
+        let _span = info_span!("stage", name = recipe.stage().as_str()).entered();
+        if let Some(built) = self.unchanged(recipe, start)? {
+            return Ok(built);
+        }
+        let parting = Parting {
+            store: &self.store,
+            recipe,
+            parts,
+            share: self.share,
+            interrupt: &self.interrupt,
+        };
+        let artifact = parting.make(make, |numbered, writer| finish(numbered, writer))?;
+        self.made(artifact, recipe, start)
     }
 
     /// The artifact of a recipe, if it exists.

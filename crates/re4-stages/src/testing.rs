@@ -195,6 +195,7 @@ pub fn images(
 
 fn runner(pipeline: &Path, overrides: &[String], artifacts: &Path) -> Result<Runner> {
     Runner::new(&Settings {
+        share: crate::Share::Whole,
         pipeline,
         overrides: overrides.to_vec(),
         artifacts,

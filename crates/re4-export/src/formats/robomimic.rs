@@ -452,11 +452,19 @@ impl<'a> Output<'a> {
 
     fn model(&self, number: u32) -> Result<String> {
         let table = self.inputs.artifact.table(ModelRow::table())?;
-        let rows = table.read_range::<ModelRow>(u64::from(number)..u64::from(number) + 1)?;
-        rows.into_iter()
-            .next()
-            .map(|row| row.mjcf)
-            .context("the table models is not complete")
+        // Models have running numbers, but in an artifact in parts each part begins with another number.
+        let place = u64::from(number)..u64::from(number) + 1;
+        if !self.inputs.artifact.in_parts() {
+            let row = table.read_range::<ModelRow>(place)?.pop();
+            return row.map(|row| row.mjcf).context("the table models is not complete");
+        }
+        for row in table.stream::<ModelRow>()? {
+            let row = row?;
+            if row.model == number {
+                return Ok(row.mjcf);
+            }
+        }
+        bail!("table models of {} has no row {number}", self.inputs.artifact.path().display(); "ingest the dataset again")
     }
 }
 

@@ -1,5 +1,6 @@
 //! A LeRobot dataset as a source of demonstrations.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use re4_lerobot::{Cameras, Info as LerobotInfo};
@@ -189,10 +190,11 @@ impl LerobotSource {
     fn arms<E: From<IngestError> + Send>(
         &self,
         layout: &ArmLayout,
+        range: Range<usize>,
         mut take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut place = 0;
-        self.opened.read(&self.chosen, |frames| {
+        let mut place = range.start;
+        self.opened.read(&self.chosen[range], |frames| {
             let name = &self.demos[place];
             let columns = frames.and_then(|frames| layout.columns(&frames));
             let episode = columns
@@ -250,13 +252,18 @@ impl DemoSource for LerobotSource {
         &self.demos
     }
 
+    fn can_be_read_in_parts(&self) -> bool {
+        matches!(self.content, Content::Arm(..))
+    }
+
     fn episodes<E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         match &self.content {
-            Content::Pusht(reading) => reading.each(&self.demos, take),
-            Content::Arm(layout, _) => self.arms(layout, take),
+            Content::Pusht(reading) => reading.each(&self.demos, range, take),
+            Content::Arm(layout, _) => self.arms(layout, range, take),
         }
     }
 

@@ -1,5 +1,6 @@
 //! A Push-T dataset as a source of demonstrations.
 
+use std::ops::Range;
 use std::path::Path;
 
 use re4_geometry::Point2;
@@ -78,15 +79,21 @@ impl PushtReading {
     pub(crate) fn each<E>(
         &self,
         demos: &[DemoName],
+        range: Range<usize>,
         mut take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut left = self.left_out.iter().peekable();
         let mut number = 0;
         for (place, name) in demos.iter().enumerate() {
+            let own = range.contains(&place);
             if let Some(left) = left.next_if(|left| left.demo == name.name) {
-                take(place, Err(left.clone()))?;
+                if own {
+                    take(place, Err(left.clone()))?;
+                }
             } else {
-                take(place, Ok(self.episode(name, number)))?;
+                if own {
+                    take(place, Ok(self.episode(name, number)))?;
+                }
                 number += 1;
             }
         }
@@ -130,11 +137,17 @@ impl DemoSource for PushtSource {
         &self.demos
     }
 
+    /// The arrays are those of the whole dataset.
+    fn can_be_read_in_parts(&self) -> bool {
+        false
+    }
+
     fn episodes<E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
-        self.reading.each(&self.demos, take)
+        self.reading.each(&self.demos, range, take)
     }
 
     fn images<E: From<IngestError>>(

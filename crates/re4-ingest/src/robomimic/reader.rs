@@ -1,6 +1,7 @@
 //! Opens a file: finds its demonstrations, orders them, and resolves which of them are requested.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -283,7 +284,7 @@ impl RobomimicReader {
         Ok(Some(self.find(name, Wanted::Actions)?.read(&self.file)?.actions))
     }
 
-    /// Reads all demonstrations. They are located one by one, read and processed in parallel, and passed to `take` in order.
+    /// Reads a range of the demonstrations. They are located one by one, read and processed in parallel, and passed to `take` in order.
     /// `work` receives the index of a demonstration among those requested, and the demonstration or the reason why it cannot be
     /// read.
     ///
@@ -291,10 +292,12 @@ impl RobomimicReader {
     /// The file needs the HDF5 library but was opened without it, or one of the two closures returns an error.
     pub fn for_each<T: Send, E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         work: impl Fn(usize, Result<Demo, LeftOut>) -> Result<T, E> + Sync,
         take: impl FnMut(usize, T) -> Result<(), E>,
     ) -> Result<(), E> {
         self.for_each_found(
+            range,
             |demo| self.find(demo, self.wanted()),
             |place, found| {
                 let read = found.and_then(|found| found.read(&self.file));
@@ -310,6 +313,7 @@ impl RobomimicReader {
     /// As for [`Self::for_each`].
     pub(super) fn for_each_found<F: Send, T: Send, E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         find: impl Fn(&str) -> Result<F, Hdf5Fault> + Send,
         work: impl Fn(usize, Result<F, Hdf5Fault>) -> Result<T, E> + Sync,
         mut take: impl FnMut(usize, T) -> Result<(), E>,
@@ -317,7 +321,7 @@ impl RobomimicReader {
         std::thread::scope(|scope| -> Result<(), E> {
             let (sender, receiver) = sync_channel(AHEAD);
             scope.spawn(move || {
-                for (episode, demo) in self.demos.iter().enumerate() {
+                for (episode, demo) in range.clone().zip(&self.demos[range]) {
                     let found = find(&demo.name);
                     let last = found.as_ref().is_err_and(|fault| self.file.is_fatal(fault));
                     if sender.send((episode, found)).is_err() || last {

@@ -1,6 +1,7 @@
 //! An HDF5 file of robosuite demonstrations as a [`DemoSource`].
 
 use std::fs::File;
+use std::ops::Range;
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 
@@ -163,11 +164,12 @@ impl DemoSource for RobomimicSource {
 
     fn episodes<E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         let demos = self.reader.demos();
         self.reader
-            .for_each(|place, demo| Ok(self.episode(&demos[place], demo)?), take)
+            .for_each(range, |place, demo| Ok(self.episode(&demos[place], demo)?), take)
     }
 
     fn images<E: From<IngestError>>(
@@ -185,18 +187,18 @@ impl DemoSource for RobomimicSource {
             warnings.push(left_out);
         } else {
             let without_first = if self.late { self.demos().len() } else { 0 };
-            let recorded = tally.frames() + without_first;
+            let recorded = tally.frames + without_first;
             warnings.extend(self.reader.total_warning(recorded as u64)?);
         }
         warnings.extend(tally.warnings());
         let conventions = self.interpreter.warnings().iter();
         warnings.extend(conventions.map(|text| Warning::new(WarningCode::Convention, text.clone(), 1)));
-        if let (Some(_), Some(first)) = (&self.comparison, tally.not_compared.first()) {
+        if let (Some(_), Some(first)) = (&self.comparison, &tally.not_compared.first) {
             let message = format!("missing from the file used for comparison: {first}");
             warnings.push(Warning::new(
                 WarningCode::NotCompared,
                 message,
-                tally.not_compared.len(),
+                tally.not_compared.count,
             ));
         }
         warnings.extend(self.reader.skipped_warning(&self.info.cameras)?);

@@ -1,6 +1,7 @@
 //! `re4-pipe audit`.
 
 use anyhow::Result;
+use re4_artifact::Stage;
 use re4_audit::Severity;
 use re4_report::{AuditSources, Findings, LARGE_PAGE, audit_page};
 use re4_stages::{Built, Runner};
@@ -21,7 +22,9 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
         .map(|path| Output::at(path, "page"))
         .transpose()?;
     // The audit reports unusable demonstrations instead of refusing the dataset.
-    let runner = arguments.stage.runner(&["ingest.on_bad=leave_out".to_owned()])?;
+    let runner = arguments
+        .stage
+        .runner_of(Stage::Audit, &["ingest.on_bad=leave_out".to_owned()])?;
     if let Some(page) = &page {
         page.refuse_inputs(&runner.inputs()?)?;
     }

@@ -8,6 +8,7 @@ pub(crate) mod export;
 pub(crate) mod fetch;
 pub(crate) mod influence;
 pub(crate) mod inspect;
+pub(crate) mod plan;
 #[cfg(feature = "query")]
 pub(crate) mod query;
 pub(crate) mod report;

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Row as _, col_f64, col_u32};
+use re4_artifact::{Row as _, Stage, col_f64, col_u32};
 use re4_fault::ensure;
 use re4_ingest::Convention;
 use re4_ingest::pusht::{PushtWriter, RecordedEpisode};
@@ -25,7 +25,7 @@ use re4_stages::{BudgetRow, Built, Runner, metrics, read_rollouts};
 /// `re4-pipe ingest`.
 pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let runner = arguments.runner(&[])?;
+    let runner = arguments.runner_of(Stage::Ingest, &[])?;
     let built = runner.ingest()?;
     answer(console, &runner, &built)
 }
@@ -33,7 +33,7 @@ pub(crate) fn ingest(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe segment`.
 pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let runner = arguments.runner(&[])?;
+    let runner = arguments.runner_of(Stage::Segment, &[])?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
     let audit = runner.audit(&episodes, &modes)?;
@@ -54,7 +54,7 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe train-pose`. Refuses pipelines that use the recorded poses.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let runner = arguments.runner(&[])?;
+    let runner = arguments.runner_of(Stage::TrainPose, &[])?;
     runner.pipeline.needs_object()?;
     let planar = runner.pipeline.task.is_planar();
     ensure!(
@@ -77,7 +77,7 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
 /// `re4-pipe index`.
 pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let runner = arguments.runner(&[])?;
+    let runner = arguments.runner_of(Stage::Index, &[])?;
     runner.pipeline.needs_object()?;
     let episodes = runner.ingest()?;
     let modes = runner.segment(&episodes)?;
@@ -95,7 +95,7 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
 pub(crate) fn train(arguments: &TrainArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
     let kind = arguments.policy.as_deref().map(kind_override);
-    let runner = arguments.stage.runner(kind.as_slice())?;
+    let runner = arguments.stage.runner_of(Stage::Train, kind.as_slice())?;
     runner.pipeline.needs_object()?;
     let built = runner.train()?;
     answer(console, &runner, &built)
@@ -104,7 +104,7 @@ pub(crate) fn train(arguments: &TrainArguments) -> Result<Outcome> {
 /// `re4-pipe scenes`.
 pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
-    let runner = arguments.runner(&[])?;
+    let runner = arguments.runner_of(Stage::Scenes, &[])?;
     runner.pipeline.needs_object()?;
     ensure!(
         runner.pipeline.task.is_planar(),
@@ -123,7 +123,7 @@ pub(crate) fn scenes(arguments: &StageArguments) -> Result<Outcome> {
 
 /// `re4-pipe rollout`.
 pub(crate) fn rollout(arguments: &RolloutArguments) -> Result<Outcome> {
-    let runner = runner(arguments)?;
+    let runner = arguments.rolled.runner_of(Stage::Rollout, &arguments.stage)?;
     runner.pipeline.rollout()?;
     roll_out(&runner, arguments)
 }
@@ -281,7 +281,7 @@ fn record(console: Console, built: &Built, path: &Path) -> Result<()> {
     Ok(())
 }
 
-fn answer(console: Console, runner: &Runner, built: &Built) -> Result<Outcome> {
+pub(super) fn answer(console: Console, runner: &Runner, built: &Built) -> Result<Outcome> {
     let mut answer = built.to_json();
     answer["warnings"] = json!(runner.warnings());
     console.answer(&answer)?;

@@ -25,11 +25,13 @@ class Table:
     name: str
     """Name in the manifest."""
     path: Path
-    """The Parquet file."""
+    """The Parquet file; the first one if the artifact is in parts."""
     rows: int
     """Number of rows."""
     schema_version: int
     """Version of the columns, which ``docs/reference/tables.md`` describes."""
+    paths: tuple[Path, ...] = ()
+    """The Parquet files in the order of the rows. There are several if the artifact is in parts."""
 
 
 class Artifact(Mapping[str, Table]):
@@ -86,7 +88,9 @@ class Artifact(Mapping[str, Table]):
         except KeyError:
             known = ", ".join(self) or "none"
             raise Re4Error(f"{self.path} has no table {name}", f"its tables are: {known}") from None
-        return Table(name, self.path / entry["file"], entry["rows"], entry["schema_version"])
+        parts = [f"parts/{part['part']}/" for part in entry.get("parts", [])] or [""]
+        paths = tuple(self.path / f"{part}{entry['file']}" for part in parts)
+        return Table(name, paths[0], entry["rows"], entry["schema_version"], paths)
 
     def __iter__(self) -> Iterator[str]:
         return iter(sorted(self.manifest["tables"]))
@@ -103,22 +107,24 @@ class Artifact(Mapping[str, Table]):
     def polars(self, table: str, columns: list[str] | None = None) -> polars.DataFrame:
         """A table as a polars DataFrame. Needs the package polars (``pip install re4-pipe[polars]``).
 
-        ``polars.scan_parquet(artifact[table].path)`` reads it lazily.
+        ``polars.scan_parquet(artifact[table].paths)`` reads it lazily.
         """
-        return _needed("polars").read_parquet(self[table].path, columns=columns)
+        return _needed("polars").read_parquet(list(self[table].paths), columns=columns)
 
     def arrow(self, table: str, columns: list[str] | None = None) -> pyarrow.Table:
         """A table as a pyarrow Table, with descriptions, units and frames of reference in the metadata of its fields.
 
         Needs the package pyarrow (``pip install re4-pipe[arrow]``).
         """
-        _needed("pyarrow")
-        return import_module("pyarrow.parquet").read_table(self[table].path, columns=columns)
+        arrow = _needed("pyarrow")
+        read = import_module("pyarrow.parquet").read_table
+        tables = [read(path, columns=columns) for path in self[table].paths]
+        return tables[0] if len(tables) == 1 else arrow.concat_tables(tables).unify_dictionaries()
 
     def pandas(self, table: str, columns: list[str] | None = None) -> pandas.DataFrame:
         """A table as a pandas DataFrame. Needs the packages pandas and pyarrow (``pip install re4-pipe[pandas]``)."""
-        _needed("pyarrow")
-        return _needed("pandas").read_parquet(self[table].path, columns=columns)
+        _needed("pandas")
+        return self.arrow(table, columns).to_pandas()
 
     def input(self, kind: str) -> Artifact:
         """The artifact of a kind from which this one was made, in the same artifacts folder.

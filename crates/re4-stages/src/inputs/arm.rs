@@ -12,12 +12,12 @@ use re4_segment::{
     SegmentError, SegmentRow, SegmentedArm,
 };
 
-use super::demos::names;
+use super::demos::Names;
 
 /// The demonstrations of an `episodes` artifact, in order.
 pub(crate) struct ArmEpisodes {
     rows: ByEpisode<FrameRow<ArmColumns>>,
-    names: Vec<String>,
+    names: Names,
     path: PathBuf,
 }
 
@@ -26,14 +26,14 @@ impl ArmEpisodes {
     pub(crate) fn open(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
             rows: ByEpisode::open(artifact, |row: &FrameRow<_>| row.episode)?,
-            names: names(artifact)?,
+            names: Names::read(artifact)?,
             path: artifact.path().to_owned(),
         })
     }
 
     /// Number of demonstrations.
     pub(crate) fn demos(&self) -> usize {
-        self.names.len()
+        self.names.count()
     }
 }
 
@@ -43,7 +43,7 @@ impl Iterator for ArmEpisodes {
     fn next(&mut self) -> Option<Self::Item> {
         let rows = self.rows.next()?;
         Some(rows.map_err(Into::into).and_then(|(number, rows)| {
-            let name = self.names.get(number as usize).cloned().or_fault(|| {
+            let name = self.names.of(number).or_fault(|| {
                 fault!(
                     "cannot read {}: table frames refers to demonstration {number}, which table demos does not contain",
                     self.path.display();

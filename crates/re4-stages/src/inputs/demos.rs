@@ -1,5 +1,6 @@
 //! Reads demonstrations of robosuite tasks from artifacts one at a time, so that a dataset need not fit in memory.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
@@ -28,9 +29,30 @@ pub(crate) fn demo_names(episodes: &Artifact) -> Result<DemoNames> {
 }
 
 /// The names in table `demos`.
-pub(super) fn names(episodes: &Artifact) -> Result<Vec<String>> {
+fn names(episodes: &Artifact) -> Result<Vec<String>> {
     let rows = episodes.read::<DemoRow>()?;
     Ok(rows.into_iter().map(|row| row.demo).collect())
+}
+
+/// The names of demonstrations by their numbers, which do not begin with 0 in a part of an artifact.
+pub(super) struct Names(BTreeMap<u32, String>);
+
+impl Names {
+    /// Reads the names of an artifact or of a part of one.
+    pub(super) fn read(episodes: &Artifact) -> Result<Self> {
+        let rows = episodes.read::<DemoRow>()?.into_iter();
+        Ok(Self(rows.map(|row| (row.episode, row.demo)).collect()))
+    }
+
+    /// Number of demonstrations.
+    pub(super) fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The name of a demonstration.
+    pub(super) fn of(&self, number: u32) -> Option<String> {
+        self.0.get(&number).cloned()
+    }
 }
 
 /// Whether an `episodes` artifact has demonstrations of a robosuite task.
@@ -50,7 +72,7 @@ pub(super) fn no_object(episodes: &Path) -> Fault {
 /// The demonstrations of an `episodes` artifact, in order.
 pub(crate) struct SpatialEpisodes {
     rows: ByEpisode<FrameRow<SpatialColumns>>,
-    names: Vec<String>,
+    names: Names,
     /// Path of the artifact, for messages.
     path: PathBuf,
 }
@@ -60,18 +82,18 @@ impl SpatialEpisodes {
     pub(crate) fn open(artifact: &Artifact) -> Result<Self> {
         Ok(Self {
             rows: ByEpisode::open(artifact, |row: &FrameRow<_>| row.episode)?,
-            names: names(artifact)?,
+            names: Names::read(artifact)?,
             path: artifact.path().to_owned(),
         })
     }
 
     /// Number of demonstrations.
     pub(crate) fn demos(&self) -> usize {
-        self.names.len()
+        self.names.count()
     }
 
     fn read(&self, number: u32, rows: &[FrameRow<SpatialColumns>]) -> Result<(u32, SpatialEpisode)> {
-        let name = self.names.get(number as usize).cloned().or_fault(|| {
+        let name = self.names.of(number).or_fault(|| {
             fault!(
                 "cannot read {}: table frames refers to demonstration {number}, which table demos does not contain",
                 self.path.display();

@@ -89,7 +89,7 @@ pub(crate) struct Scenes {
     library: Library,
     fidelity: Fidelity,
     /// MJCF by model number, with this machine's asset paths and without visual assets, which physics does not need.
-    mjcf: Vec<String>,
+    mjcf: BTreeMap<u32, String>,
     /// Model number by demonstration.
     of_demo: Vec<Option<u32>>,
     /// Compiled models by model number, each with its own lock.
@@ -203,12 +203,16 @@ impl Scenes {
         let (profile, library) = simulator_of(episodes)?;
         let demos = episodes.read::<DemoRow>()?;
         let folder = assets_folder();
-        let mut mjcf = Vec::new();
+        let mut mjcf = BTreeMap::new();
+        let users: BTreeMap<u32, &str> = demos
+            .iter()
+            .rev()
+            .filter_map(|demo| Some((demo.model?, demo.demo.as_str())))
+            .collect();
         for ModelRow { model, mjcf: text } in episodes.read()? {
-            let user = demos.iter().find(|demo| demo.model == Some(model));
-            let demo = user.map_or("a demonstration", |demo| &demo.demo);
+            let demo = users.get(&model).copied().unwrap_or("a demonstration");
             let place = || format!("cannot simulate {demo} of {}", episodes.path().display());
-            mjcf.push(physics_of(&text, task, fidelity, &folder).with_context(place)?);
+            mjcf.insert(model, physics_of(&text, task, fidelity, &folder).with_context(place)?);
         }
         Ok(Self {
             task,
@@ -232,8 +236,8 @@ impl Scenes {
     /// If no demonstration has a model.
     pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
-        let text = first.and_then(|number| self.mjcf.get(*number as usize));
-        Ok(text.context("no demonstration has a model")?)
+        let text = first.and_then(|number| self.mjcf.get(number));
+        Ok(text.map(String::as_str).context("no demonstration has a model")?)
     }
 
     /// The MJCF of the same demonstration for rendering: with visual assets and with all contacts.
@@ -244,7 +248,10 @@ impl Scenes {
         let first = self.of_demo.iter().flatten().next();
         let number = *first.context("no demonstration has a model")?;
         let models = episodes.read::<ModelRow>()?;
-        let text = models.get(number as usize).map_or("", |row| &row.mjcf);
+        let text = models
+            .iter()
+            .find(|row| row.model == number)
+            .map_or("", |row| &row.mjcf);
         with_assets(text, &assets_folder())
             .with_context(|| format!("cannot render the models of {}", episodes.path().display()))
     }
@@ -284,7 +291,7 @@ impl Scenes {
         }
         let mjcf = self
             .mjcf
-            .get(number as usize)
+            .get(&number)
             .with_context(|| format!("table models has no row {number}"))?;
         let model = self.compile(mjcf)?;
         debug!(number, demo, "model compiled");

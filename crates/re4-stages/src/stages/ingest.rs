@@ -6,6 +6,7 @@ mod hdf5;
 mod helper;
 mod lerobot;
 mod rendered;
+mod renumber;
 mod serve;
 mod spool;
 mod tables;
@@ -36,7 +37,7 @@ pub use worker::SUBCOMMAND as INGEST_WORKER;
 pub(crate) use worker::WorkerCrashed;
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 6;
+const CODE_VERSION: u32 = 7;
 
 /// Name of the stage in messages about an interruption.
 const STAGE: &str = "ingest";
@@ -81,7 +82,10 @@ impl Runner {
 
     /// Lets a worker make the artifact.
     fn made_by_worker(&self, request: &Request, recipe: &Recipe, start: Instant) -> Result<Built> {
-        self.attended(request, |bar| worker::run(request, &self.interrupt, bar))?;
+        let partly = self.attended(request, |bar| worker::run(request, &self.interrupt, bar))?;
+        if let Some(partly) = partly {
+            return Err(partly.into());
+        }
         let artifact = self.store.lookup(Stage::Ingest, &recipe.key())?;
         let artifact = artifact.or_fault(|| {
             fault!(

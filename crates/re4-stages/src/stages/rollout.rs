@@ -8,8 +8,10 @@ mod live;
 mod plane;
 mod space;
 
+use std::cell::OnceCell;
+
 use anyhow::{Context as _, Result, bail};
-use re4_artifact::{Artifact, Stage, Writer};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
 use re4_policy::kinds::{Inputs, Settings};
 use re4_rollout::{ActTimes, Batch, Harness, MakeEnv, MakeSource, Opened, Recorded, Start};
@@ -18,6 +20,7 @@ use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::demo_names;
 use crate::inputs::simulators::simulator_of;
+use crate::parts::parts_of;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
 
@@ -29,7 +32,7 @@ pub use plane::read_rollouts;
 pub(crate) use space::{ImageObserver, MakeEstimator, scene_renderer};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 8;
+const CODE_VERSION: u32 = 9;
 
 /// Number of rollouts whose rows are held in memory before they are written.
 const BATCH: usize = 128;
@@ -145,16 +148,17 @@ impl Runner {
         })?)
     }
 
-    /// Rolls out from `starts` and writes the tables that all domains and policies have. Calls `add` with each batch of rows.
+    /// Rolls out from `starts` and writes the tables that all domains and policies have. `first` is the number of the first rollout.
+    /// Calls `add` with each batch of rows.
     fn record<D: Recorded>(
         &self,
         setup: &RolloutSetup<'_, '_, D>,
-        artifacts: &RolloutArtifacts<'_>,
+        opened: &dyn Opened<D>,
+        first: u32,
         starts: &mut dyn ExactSizeIterator<Item = Start<D>>,
         writer: &Writer,
         add: &mut dyn FnMut(&Batch<D>),
     ) -> Result<()> {
-        let opened = self.opened(setup, artifacts)?;
         let bar = self.notes.progress(starts.len() as u64, "rollouts");
         // Called after every rollout; false stops the harness.
         let going = || {
@@ -170,7 +174,7 @@ impl Runner {
             progress: &going,
             times: &times,
         };
-        let mut recording = opened.begin(writer)?;
+        let mut recording = opened.begin(writer, first)?;
         let (mut results, mut steps, mut decisions) = (writer.rows()?, writer.rows()?, writer.rows()?);
         let mut worlds = self
             .pipeline
@@ -203,6 +207,51 @@ impl Runner {
         self.measured("actions", spread(&times.actions()));
         self.measured("decisions", spread(&times.decisions()));
         Ok(())
+    }
+
+    /// Number of parts of the rollouts; `None` if they start from scenes, whose number is not known.
+    pub(crate) fn parts_of_rollouts(&self) -> Result<Option<u32>> {
+        let in_part = if self.pipeline.task.is_planar() {
+            plane::ROLLOUTS_IN_PART
+        } else {
+            space::ROLLOUTS_IN_PART
+        };
+        let seeds = self.pipeline.rollout()?.seeds.as_ref();
+        Ok(seeds.map(|seeds| parts_of(seeds.as_slice().len(), in_part)))
+    }
+
+    /// Makes a `rollouts` artifact in parts of `in_part` rollouts. `finish` gets the parts, writes the tables that describe all rollouts,
+    /// and returns the summary.
+    fn record_parts<D: Recorded>(
+        &self,
+        (recipe, setup): (&Recipe, &RolloutSetup<'_, '_, D>),
+        artifacts: &RolloutArtifacts<'_>,
+        starts: &[Start<D>],
+        in_part: usize,
+        finish: impl Fn(&[Artifact], &Writer) -> Result<ArtifactSummary>,
+    ) -> Result<Built> {
+        let known = OnceCell::new();
+        let make = |writer: &Writer, part: u32| {
+            let opened = match known.get() {
+                Some(opened) => opened,
+                None => known.get_or_init({
+                    let opened = self.opened(setup, artifacts)?;
+                    || opened
+                }),
+            };
+            let first = part as usize * in_part;
+            let own = &starts[first..starts.len().min(first + in_part)];
+            self.record(
+                setup,
+                &**opened,
+                first as u32,
+                &mut own.iter().cloned(),
+                writer,
+                &mut |_| {},
+            )?;
+            Ok(ArtifactSummary::default())
+        };
+        self.build_parts(recipe, parts_of(starts.len(), in_part), make, finish)
     }
 
     /// The protocol in the summary of rollouts: the demonstrations, the maximum number of steps, and the domain's own entries.

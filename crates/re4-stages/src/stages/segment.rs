@@ -1,8 +1,10 @@
 //! The stage `segment`: makes `modes` from `episodes`.
 
+use std::cell::OnceCell;
+
 use anyhow::Result;
 use rayon::prelude::*;
-use re4_artifact::{ArtifactSummary, Cell, Recipe, Stage, Writer};
+use re4_artifact::{Artifact, ArtifactSummary, Cell, Recipe, Stage, Writer};
 use re4_episode::Mode;
 use re4_segment::{
     ArmEvidence, Evidence, ModeRow, SegmentError, SegmentRow, Segmented, SpatialEvidence, segment_arm, segment_planar,
@@ -15,10 +17,11 @@ use crate::inputs::arm::{self, ArmEpisodes};
 
 use crate::inputs::demos::{SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_frames;
+use crate::parts::sum_of_summaries;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 4;
+const CODE_VERSION: u32 = 5;
 
 impl Runner {
     /// Makes the `modes` artifact, or returns the existing one.
@@ -30,26 +33,54 @@ impl Runner {
         let recipe = Recipe::new(Stage::Segment, CODE_VERSION)
             .config(config)?
             .input("episodes", episodes.artifact.key());
-        self.build(&recipe, |writer| match self.pipeline.task.domain() {
+        // The gripper of an arm is proven from all demonstrations, once.
+        let gripper = OnceCell::new();
+        let gripper = || match gripper.get() {
+            Some(gripper) => Ok(gripper),
+            None => {
+                let proven = arm::gripper(&episodes.artifact, config)?;
+                anyhow::Ok(gripper.get_or_init(|| proven))
+            }
+        };
+        let make = |episodes: &Artifact, writer: &Writer| match self.pipeline.task.domain() {
             Domain::Plane => {
-                let demos = read_frames(&episodes.artifact)?;
+                let demos = read_frames(episodes)?;
                 let segment = |demo: &_| segment_planar(demo, config);
                 self.write_modes(demos.len(), (0..).zip(demos).map(Ok), segment, PLANE, writer)
             }
             Domain::Arm => {
-                let gripper = arm::gripper(&episodes.artifact, config)?;
-                let demos = ArmEpisodes::open(&episodes.artifact)?;
+                let gripper = gripper()?;
+                let demos = ArmEpisodes::open(episodes)?;
                 let segment = |demo: &_| segment_arm(demo, config.rule, gripper.as_ref());
-                let mut written = self.write_modes(demos.demos(), demos, segment, ARM, writer)?;
-                written.summary["gripper"] = json!(gripper);
-                Ok(written)
+                self.write_modes(demos.demos(), demos, segment, ARM, writer)
             }
             Domain::Space => {
-                let demos = SpatialEpisodes::open(&episodes.artifact)?;
+                let demos = SpatialEpisodes::open(episodes)?;
                 let segment = |demo: &_| segment_spatial(demo, config);
                 self.write_modes(demos.demos(), demos, segment, SPACE, writer)
             }
-        })
+        };
+        let complete = |mut summary: ArtifactSummary| {
+            if self.pipeline.task.domain() == Domain::Arm {
+                summary.summary["gripper"] = json!(gripper()?);
+            }
+            anyhow::Ok(summary)
+        };
+        let parts = episodes.artifact.parts();
+        if parts == 1 {
+            return self.build(&recipe, |writer| complete(make(&episodes.artifact, writer)?));
+        }
+        self.build_parts(
+            &recipe,
+            parts,
+            |writer, part| make(&episodes.artifact.part(part)?, writer),
+            |parts, _| {
+                complete(ArtifactSummary {
+                    summary: Value::Object(sum_of_summaries(parts)),
+                    warnings: Vec::new(),
+                })
+            },
+        )
     }
 
     /// Segments all demonstrations in batches, and counts the frames whose evidence satisfies the predicates in `counted`.

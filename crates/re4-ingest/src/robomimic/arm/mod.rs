@@ -4,6 +4,8 @@
 mod config;
 mod layout;
 
+use std::ops::Range;
+
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde_json::{Map, json};
 
@@ -371,10 +373,12 @@ impl DemoSource for ArmSource {
 
     fn episodes<E: From<IngestError> + Send>(
         &self,
+        range: Range<usize>,
         take: impl FnMut(usize, Result<Episode, LeftOut>) -> Result<(), E>,
     ) -> Result<(), E> {
         let demos = self.reader.demos();
         self.reader.for_each_found(
+            range,
             |demo| self.find(demo),
             |place, found| {
                 let name = &demos[place];
@@ -409,7 +413,7 @@ impl DemoSource for ArmSource {
         let mut warnings: Vec<Warning> = own.cloned().collect();
         match tally.left_out_warning(self.demos().len()) {
             Some(left_out) => warnings.push(left_out),
-            None => warnings.extend(self.reader.total_warning(tally.frames() as u64)?),
+            None => warnings.extend(self.reader.total_warning(tally.frames as u64)?),
         }
         warnings.extend(tally.warnings());
         Ok(warnings)

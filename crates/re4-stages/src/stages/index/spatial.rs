@@ -1,22 +1,24 @@
 //! The stage `index` for robosuite tasks.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use re4_artifact::{Artifact, ArtifactSummary, Recipe, SixAxis, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, SixAxis, Stage, Writer};
 use re4_audit::{CheckRow, FindingRow, SpatialDemo};
 use re4_fault::bail;
 use re4_index::trim::kept;
 use re4_index::{IndexRow, SpatialState};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::estimated::EstimatedPoses;
 use crate::inputs::demos::SegmentedEpisodes;
+use crate::parts::sum_of_summaries;
 use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 2;
+const CODE_VERSION: u32 = 3;
 
 impl Runner {
     /// Makes the `index` artifact of a robosuite task, or returns the existing one. Object poses come from `poses` if it is
@@ -59,18 +61,27 @@ impl Runner {
         if let Some(poses) = poses {
             recipe = recipe.input("poses", poses.artifact.key());
         }
-        self.build(&recipe, |writer| {
-            let ends = match (&audit, poses) {
-                (Some(audit), _) => left_out(&audit.artifact, leave_out)?,
-                (None, Some(_)) if !leave_out.is_empty() => {
-                    self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)?
-                }
-                _ => BTreeMap::new(),
-            };
-            let estimated = poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose()?;
+        // Which frames are left out depends on all demonstrations.
+        let known = OnceCell::new();
+        let ends = || match known.get() {
+            Some(ends) => Ok(ends),
+            None => {
+                let ends = match (&audit, poses) {
+                    (Some(audit), _) => left_out(&audit.artifact, leave_out)?,
+                    (None, Some(_)) if !leave_out.is_empty() => {
+                        self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)?
+                    }
+                    _ => BTreeMap::new(),
+                };
+                anyhow::Ok(known.get_or_init(|| ends))
+            }
+        };
+        let estimated = || poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose();
+        let make = |episodes: &Artifact, modes: &Artifact, writer: &Writer| {
+            let (ends, estimated) = (ends()?, estimated()?);
             let (mut demos, mut frames, mut retrievable, mut cut) = (0_u64, 0_u64, 0_u64, 0_u64);
             let mut table = writer.rows()?;
-            for demo in SegmentedEpisodes::open(&episodes.artifact, &modes.artifact)? {
+            for demo in SegmentedEpisodes::open(episodes, modes)? {
                 self.interrupt.check("index")?;
                 let mut demo = demo?;
                 if let Some(estimated) = &estimated {
@@ -86,24 +97,45 @@ impl Runner {
                 table.extend(rows(&demo, end).zip(kept).filter_map(|(row, kept)| kept.then_some(row)))?;
             }
             table.finish()?;
-            if let Some(estimated) = &estimated {
-                estimated.check_count(demos)?;
+            let mut summary = json!({ "episodes": demos, "frames": frames, "retrievable_frames": retrievable });
+            if !trim.is_empty() {
+                summary["trimmed_frames"] = json!(cut);
             }
-            if retrievable == 0 {
+            anyhow::Ok(ArtifactSummary {
+                summary,
+                warnings: Vec::new(),
+            })
+        };
+        let checked = |summary: ArtifactSummary| {
+            let count = |name: &str| summary.summary[name].as_u64().unwrap_or_default();
+            if let Some(estimated) = estimated()? {
+                estimated.check_count(count("episodes"))?;
+            }
+            if count("retrievable_frames") == 0 {
                 bail!(
                     "cannot index {}: index.leave_out leaves out every frame", episodes.artifact.path().display();
                     "name fewer checks in index.leave_out"
                 );
             }
-            let mut summary = json!({ "episodes": demos, "frames": frames, "retrievable_frames": retrievable });
-            if !trim.is_empty() {
-                summary["trimmed_frames"] = json!(cut);
-            }
-            Ok(ArtifactSummary {
-                summary,
-                warnings: Vec::new(),
-            })
-        })
+            anyhow::Ok(summary)
+        };
+        let parts = episodes.artifact.parts();
+        if parts == 1 {
+            return self.build(&recipe, |writer| {
+                checked(make(&episodes.artifact, &modes.artifact, writer)?)
+            });
+        }
+        self.build_parts(
+            &recipe,
+            parts,
+            |writer, part| make(&episodes.artifact.part(part)?, &modes.artifact.part(part)?, writer),
+            |parts, _| {
+                checked(ArtifactSummary {
+                    summary: Value::Object(sum_of_summaries(parts)),
+                    warnings: Vec::new(),
+                })
+            },
+        )
     }
 }
 

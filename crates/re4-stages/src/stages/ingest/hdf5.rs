@@ -52,6 +52,7 @@ impl Runner {
             pipeline: self.pipeline.clone(),
             artifacts: self.store.root().to_path_buf(),
             threads: rayon::current_num_threads(),
+            share: self.share,
             cautious: false,
         };
         let hash = |sources: &Sources| self.hash(|stop| sources.hash(stop), STAGE);
@@ -224,6 +225,7 @@ fn make(
             conventions: source.conventions(),
             images: Images::Recorded,
             threads: request.threads,
+            share: request.share,
             interrupt,
             progress,
         };
@@ -241,6 +243,7 @@ fn make(
             None => Images::Recorded,
         },
         threads: request.threads,
+        share: request.share,
         interrupt,
         progress,
     };

@@ -37,6 +37,7 @@ impl Runner {
             pipeline: self.pipeline.clone(),
             artifacts: self.store.root().to_path_buf(),
             threads: rayon::current_num_threads(),
+            share: self.share,
             cautious: false,
         };
         let (hash, files) = self.attended(&request, |bar| worker::hashed(&request, &self.interrupt, bar))?;
@@ -106,6 +107,7 @@ pub(super) fn serve(request: &Request, files: Option<&LerobotFiles>, interrupt: 
             Images::PushT
         },
         threads: request.threads,
+        share: request.share,
         interrupt,
         progress: &|done, all| worker::progress(done, all, interrupt),
     };

@@ -293,9 +293,14 @@ impl<'a> Rendering<'a> {
     }
 
     /// Writes the images of the spool to table `images`, sorted by camera, episode and frame. Returns the number of images.
-    pub(super) fn write(&self, spool: &Spool, lengths: &[usize], mut table: ImageTable) -> Result<usize> {
+    pub(super) fn write(
+        &self,
+        spool: &Spool,
+        demos: impl Iterator<Item = (u32, usize)> + Clone,
+        mut table: ImageTable,
+    ) -> Result<usize> {
         for &camera in &self.cameras {
-            for (episode, &frames) in (0_u32..).zip(lengths) {
+            for (episode, frames) in demos.clone() {
                 let images = spool.get(camera, episode, frames)?;
                 let images = images.or_fault(|| fault!("images that were just rendered have disappeared, perhaps removed by another run of the same artifact"; "run again"))?;
                 let places: Vec<(u32, u32)> = (0..frames as u32).map(|frame| (episode, frame)).collect();

@@ -12,6 +12,7 @@ use super::worker::{self, Format, Message, Work, send};
 use super::{describe, hdf5, helper, lerobot};
 use crate::interrupt::Interrupt;
 use crate::notes::fault_of;
+use crate::parts::Partly;
 
 /// How long a worker may take to stop by itself after its parent has closed the worker's standard input.
 const GRACE: Duration = Duration::from_millis(400);
@@ -60,7 +61,10 @@ pub fn serve_ingest() -> Result<()> {
     });
     let message = match serve(&work, &interrupt) {
         Ok(message) => message,
-        Err(error) => Message::failed(&fault_of(&error)),
+        Err(error) => match error.downcast::<Partly>() {
+            Ok(partly) => Message::Partly(partly),
+            Err(error) => Message::failed(&fault_of(&error)),
+        },
     };
     send(&message);
     Ok(())

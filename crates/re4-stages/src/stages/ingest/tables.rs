@@ -8,7 +8,7 @@ use anyhow::Result;
 use re4_artifact::{Row, RowWriter, Writer};
 use re4_fault::fault;
 use re4_ingest::{
-    ArmColumns, DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, LeftOutFrameRow, Matrix, ModelRow,
+    ArmColumns, DemoName, DemoRow, Episode, EpisodeRow, FrameRow, Frames, ImageRow, LeftOutFrameRow, Matrix, ModelRow,
     PlanarColumns, SpatialColumns, StateRow, Tally,
 };
 
@@ -21,26 +21,32 @@ const IMAGES_IN_GROUP: usize = 256;
 /// Maximum number of demonstrations in the queue of a table, which bounds the memory.
 const QUEUE: usize = 8;
 
-/// Writes all tables except images. `read` passes the demonstrations in order to its argument.
+/// A demonstration that was written, and its number of frames.
+pub(super) type Kept = (DemoName, usize);
+
+/// Writes all tables except images. `read` passes the demonstrations in order to its argument; `first` is the number of the first one.
 pub(super) fn write_tables(
     writer: &Writer,
+    first: u32,
     read: impl FnOnce(&mut dyn FnMut(Episode) -> Result<()>) -> Result<()>,
-) -> Result<Tally> {
+) -> Result<(Tally, Vec<Kept>)> {
     std::thread::scope(|scope| {
         let (to_frames, frames) = sync_channel(QUEUE);
         let (to_states, states) = sync_channel(QUEUE);
         let (to_models, models) = sync_channel::<Arc<str>>(QUEUE);
         let frames = scope.spawn(move || write_frames(writer, &frames));
         let states = scope.spawn(move || write_states(writer, &states));
-        let models = scope.spawn(move || write_models(writer, &models));
-        let mut tally = Tally::default();
+        let models = scope.spawn(move || write_models(writer, first, &models));
+        let (mut tally, mut kept) = (Tally::default(), Vec::new());
         let mut known: BTreeMap<Arc<str>, u32> = BTreeMap::new();
         let (mut episodes, mut demos) = (Vec::new(), Vec::new());
         let result = read(&mut |mut episode: Episode| {
-            let number = tally.demos.len() as u32;
+            let number = first + kept.len() as u32;
             tally.add(&mut episode);
+            kept.push((episode.name.clone(), episode.frames.count()));
             let model = episode.model.map(|text| {
-                let next = known.len() as u32;
+                // The parts of an artifact number their models independently, so the numbers begin with that of the first demonstration.
+                let next = first + known.len() as u32;
                 *known.entry(Arc::clone(&text)).or_insert_with(|| {
                     // Sending fails if the table's thread has stopped with an error, which is returned when the thread is joined.
                     let _ = to_models.send(text);
@@ -78,7 +84,7 @@ pub(super) fn write_tables(
         ended.into_iter().collect::<Result<()>>()?;
         writer.write_rows(episodes)?;
         writer.write_rows(demos)?;
-        Ok(tally)
+        Ok((tally, kept))
     })
 }
 
@@ -110,9 +116,9 @@ impl<'a, R: Row> Begun<'a, R> {
     }
 }
 
-fn write_models(writer: &Writer, models: &Receiver<Arc<str>>) -> Result<()> {
+fn write_models(writer: &Writer, first: u32, models: &Receiver<Arc<str>>) -> Result<()> {
     let mut table = Begun::new(writer);
-    for (model, text) in (0..).zip(models) {
+    for (model, text) in (first..).zip(models) {
         let mjcf = text.to_string();
         table.extend([ModelRow { model, mjcf }])?;
     }

@@ -25,6 +25,7 @@ use tracing::info;
 
 use super::helper::Setup;
 use crate::interrupt::Interrupt;
+use crate::parts::{Partly, Share};
 use crate::pipeline::Pipeline;
 
 /// Name of the hidden subcommand.
@@ -97,6 +98,8 @@ pub(crate) struct Request {
     pub(crate) artifacts: PathBuf,
     /// Number of threads.
     pub(crate) threads: usize,
+    /// What to make of an artifact in parts.
+    pub(crate) share: Share,
     /// Whether to stop at the first error in the file.
     pub(crate) cautious: bool,
 }
@@ -245,6 +248,8 @@ pub(crate) enum Message {
     Described(Description),
     /// The artifact is published.
     Done,
+    /// The worker has made its share of the artifact, or found that parts are missing.
+    Partly(Partly),
     /// The worker stopped with an error.
     Failed {
         /// What is wrong.
@@ -298,9 +303,12 @@ fn wait_at_gate(done: u64, interrupt: &Interrupt) {
     }
 }
 
-/// Runs a worker that makes the artifact.
-pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<()> {
-    work(&ingest(request), interrupt, bar).map(drop)
+/// Runs a worker that makes the artifact. Returns what it made if that is not the whole artifact.
+pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Option<Partly>> {
+    Ok(match work(&ingest(request), interrupt, bar)? {
+        Message::Partly(partly) => Some(partly),
+        _ => None,
+    })
 }
 
 /// Asks a worker for the names of the model files that the source's demonstrations refer to.
@@ -409,7 +417,11 @@ fn try_to_work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<
     match ended {
         // The artifact is published, even if the worker had to be killed afterwards.
         Ended::Message(
-            message @ (Message::Done | Message::Models(_) | Message::Hashed(..) | Message::Described(_)),
+            message @ (Message::Done
+            | Message::Partly(_)
+            | Message::Models(_)
+            | Message::Hashed(..)
+            | Message::Described(_)),
         ) => return Ok(message),
         Ended::Message(Message::Failed { what, remedy }) => {
             interrupt.check(verb)?;

@@ -55,6 +55,7 @@ impl Runner {
                 Images::PushT
             },
             threads: rayon::current_num_threads(),
+            share: self.share,
             interrupt: &self.interrupt,
             progress: &|done, all| {
                 bar.set_length(all);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
+use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_episode::PlanarFrame;
 use re4_fault::bail;
 use re4_geometry::spatial::Symmetry;
@@ -21,8 +21,12 @@ use super::estimators::LogPolar;
 use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
 use crate::inputs::estimators::open_estimator;
 use crate::inputs::starts::read_starts;
+use crate::parts::parts_of;
 use crate::pipeline::{Goal, NoiseSection};
 use crate::runner::{Built, Runner};
+
+/// Rollouts per part, about 4 MB. Another number gives other files, see [`CODE_VERSION`].
+pub(super) const ROLLOUTS_IN_PART: usize = 1024;
 
 impl Runner {
     /// Makes the `rollouts` artifact, or returns the existing one. Rollouts start from `artifacts.scenes` if given, otherwise
@@ -33,13 +37,9 @@ impl Runner {
         for built in artifacts.all() {
             recipe = recipe.input(built.stage.artifact(), built.artifact.key());
         }
-        self.build(&recipe, |writer| {
-            let starts = self.starts(artifacts.scenes)?;
-            let mut summary = Summary::up_to(self.pipeline.rollout()?.max_steps);
-            let add = &mut |batch: &Batch<Plane>| summary.add(&batch.results, &batch.steps);
-            self.with_plane(policy, artifacts, |setup| {
-                self.record(setup, artifacts, &mut starts.into_iter(), writer, add)
-            })?;
+        let starts = self.starts(artifacts.scenes)?;
+        let max_steps = self.pipeline.rollout()?.max_steps;
+        let finish = |summary: Summary, writer: &Writer| {
             writer.write_rows(summary.budgets.rows())?;
             let mut protocol = json!({
                 "measure": "maximum value over the steps of an episode, mean over episodes; score = min(coverage / 0.95, 1)",
@@ -55,10 +55,36 @@ impl Runner {
             });
             extend(&mut protocol, self.starts_config()?);
             extend(&mut protocol, Value::Object(self.conditions_config()?));
-            Ok(ArtifactSummary {
+            anyhow::Ok(ArtifactSummary {
                 summary: summary.state(&self.protocol(&artifacts.episodes.artifact, protocol)?),
                 warnings: Vec::new(),
             })
+        };
+        if parts_of(starts.len(), ROLLOUTS_IN_PART) == 1 {
+            return self.build(&recipe, |writer| {
+                let mut summary = Summary::up_to(max_steps);
+                let add = &mut |batch: &Batch<Plane>| summary.add(&batch.results, &batch.steps);
+                self.with_plane(policy, artifacts, |setup| {
+                    let opened = self.opened(setup, artifacts)?;
+                    self.record(setup, &*opened, 0, &mut starts.iter().cloned(), writer, add)
+                })?;
+                finish(summary, writer)
+            });
+        }
+        self.with_plane(policy, artifacts, |setup| {
+            self.record_parts(
+                (&recipe, setup),
+                artifacts,
+                &starts,
+                ROLLOUTS_IN_PART,
+                |parts, writer| {
+                    let mut summary = Summary::up_to(max_steps);
+                    for part in parts {
+                        summary.add(&part.read::<PlaneResultRow>()?, &part.read::<PlaneStepRow>()?);
+                    }
+                    finish(summary, writer)
+                },
+            )
         })
     }
 

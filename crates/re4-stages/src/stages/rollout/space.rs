@@ -1,5 +1,7 @@
 //! The stage `rollout` for robosuite tasks.
 
+use std::time::Instant;
+
 use anyhow::{Context as _, Result};
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
 use re4_encoder::{Predictor, SIDE};
@@ -9,7 +11,7 @@ use re4_rollout::{
     Batch, Env, Estimator, PoseNoise, RobosuiteEnv, SceneRenderer, Source, Space, SpaceDecisionRow, SpaceResultRow,
     Start,
 };
-use re4_sim::robosuite::{Placement, RobosuiteModel, RobosuiteTask, simulation_steps};
+use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask, simulation_steps};
 use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
@@ -17,10 +19,14 @@ use super::estimators::{Encoder, read_calibration};
 use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
 use crate::inputs::estimators::WEIGHTS;
 use crate::inputs::simulators::{Scenes, profile};
+use crate::parts::parts_of;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same states give different images.
 const RENDERING_VERSION: u32 = 1;
+
+/// Rollouts per part. Another number gives other files, see [`CODE_VERSION`].
+pub(super) const ROLLOUTS_IN_PART: usize = 128;
 
 /// Makes the pose estimator of an episode.
 pub(crate) type MakeEstimator = dyn Fn() -> Box<dyn Estimator<Space>> + Sync;
@@ -110,13 +116,7 @@ impl Runner {
         }
         let section = self.pipeline.rollout()?;
         let episodes = &artifacts.episodes.artifact;
-        self.build(&recipe, |writer| {
-            let mut summary = Summary::default();
-            let add = &mut |batch: &Batch<Space>| summary.add(&batch.results, &batch.decisions);
-            let (task, profile) = self.with_space(policy, artifacts, observer, |setup, task, scenes| {
-                self.record(setup, artifacts, &mut self.space_starts(task)?, writer, add)?;
-                Ok((task, scenes.profile()))
-            })?;
+        let finish = |summary: &Summary, task: RobosuiteTask, profile: Profile| {
             let mut protocol = self.protocol(
                 episodes,
                 json!({
@@ -133,9 +133,35 @@ impl Runner {
                 }),
             )?;
             extend(&mut protocol, Value::Object(self.conditions_config()?));
-            Ok(ArtifactSummary {
+            anyhow::Ok(ArtifactSummary {
                 summary: summary.state(&protocol, observer.is_some()),
                 warnings: Vec::new(),
+            })
+        };
+        if parts_of(self.space_starts(self.simulated()?)?.len(), ROLLOUTS_IN_PART) == 1 {
+            return self.build(&recipe, |writer| {
+                let mut summary = Summary::default();
+                let add = &mut |batch: &Batch<Space>| summary.add(&batch.results, &batch.decisions);
+                let (task, profile) = self.with_space(policy, artifacts, observer, |setup, task, scenes| {
+                    let opened = self.opened(setup, artifacts)?;
+                    self.record(setup, &*opened, 0, &mut self.space_starts(task)?, writer, add)?;
+                    Ok((task, scenes.profile()))
+                })?;
+                finish(&summary, task, profile)
+            });
+        }
+        // Opening the scenes takes seconds.
+        if let Some(built) = self.unchanged(&recipe, Instant::now())? {
+            return Ok(built);
+        }
+        self.with_space(policy, artifacts, observer, |setup, task, scenes| {
+            let starts: Vec<Start<Space>> = self.space_starts(task)?.collect();
+            self.record_parts((&recipe, setup), artifacts, &starts, ROLLOUTS_IN_PART, |parts, _| {
+                let mut summary = Summary::default();
+                for part in parts {
+                    summary.add(&part.read()?, &part.read()?);
+                }
+                finish(&summary, task, scenes.profile())
             })
         })
     }

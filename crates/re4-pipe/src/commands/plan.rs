@@ -1,0 +1,289 @@
+//! `re4-pipe plan`, `merge` and `status`: pipelines whose stages several processes make, on any machines that share a file system.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use re4_artifact::Stage;
+use re4_fault::{OrFault as _, ensure, fault};
+use re4_stages::{Notes, PlannedStage, Runner, Settings, Share, address_of};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::Outcome;
+use crate::arguments::{MergeArguments, PlanArguments, StageArguments, StatusArguments};
+use crate::console::Console;
+
+/// Format of the plan that this build writes and reads.
+const FORMAT: u32 = 1;
+
+/// `re4-pipe merge`.
+pub(crate) fn merge(arguments: &MergeArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
+    let stage = Stage::from(arguments.of);
+    ensure!(
+        arguments.stage.shard.is_none(),
+        "--shard does not apply to merge, which publishes the whole artifact"; "remove it"
+    );
+    let runner = arguments.rolled.runner_sharing(Share::Merge(stage), &arguments.stage)?;
+    let built = runner.artifact_of(stage)?;
+    super::run::answer(console, &runner, &built)
+}
+
+/// The tasks of a pipeline, in groups. The tasks of a group can run at the same time.
+#[derive(Debug, Serialize, Deserialize)]
+struct Plan {
+    format: u32,
+    /// Folder in which the commands run.
+    directory: PathBuf,
+    pipeline: PathBuf,
+    artifacts: PathBuf,
+    /// Overrides of the pipeline's settings.
+    overrides: Vec<String>,
+    /// Maximum number of tasks of a group.
+    shards: u32,
+    groups: Vec<Group>,
+}
+
+/// Tasks that run the same command with another index.
+#[derive(Debug, Serialize, Deserialize)]
+struct Group {
+    id: String,
+    stage: String,
+    /// Number of tasks.
+    count: u32,
+    /// The tasks to run; omitted if all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    indices: Option<Vec<u32>>,
+    /// Groups that must have ended successfully before.
+    after: Vec<String>,
+    cpus: u32,
+    memory_mb: u32,
+    gpus: u32,
+    /// Folder of the artifact; empty if its key is not known yet.
+    outputs: Vec<PathBuf>,
+    /// Words of the command. `{index}` and `{count}` stand for the number of the task and of all tasks.
+    command: Vec<String>,
+}
+
+/// Memory of a task, in MiB. Measured, with room for larger demonstrations; see docs/scale.md.
+fn memory_mb(stage: Stage) -> u32 {
+    match stage {
+        Stage::TrainPose | Stage::Train => 6144,
+        Stage::Rollout => 2048,
+        _ => 1024,
+    }
+}
+
+/// `re4-pipe plan`.
+pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.stage.common);
+    let runner = arguments.rolled.runner(&arguments.stage)?;
+    let shards = arguments.shards.get();
+    let mut groups: Vec<Group> = Vec::new();
+    let mut previous: Option<String> = None;
+    for planned in runner.planned()? {
+        let writer = GroupWriter {
+            arguments,
+            overrides: &runner_overrides(arguments),
+            planned: &planned,
+        };
+        if arguments.missing && planned.done {
+            continue;
+        }
+        let parts = planned.parts.unwrap_or(1);
+        let count = parts.min(shards);
+        let id = planned.stage.to_string();
+        let after: Vec<String> = previous.iter().cloned().collect();
+        if parts == 1 {
+            groups.push(writer.group(&id, 1, after, writer.command(&[&id], false)?));
+            previous = Some(id);
+            continue;
+        }
+        let mut tasks = writer.group(&id, count, after, writer.command(&[&id], true)?);
+        let mut before = Some(id.clone());
+        if let (true, Some(missing)) = (arguments.missing, &planned.missing) {
+            let indices: Vec<u32> = (0..count)
+                .filter(|index| {
+                    let own = shard(*index, count).map(|shard| shard.parts(parts));
+                    own.is_some_and(|own| missing.iter().any(|part| own.contains(part)))
+                })
+                .collect();
+            if indices.is_empty() {
+                before = previous.clone();
+            } else {
+                tasks.indices = (indices.len() < count as usize).then_some(indices);
+                groups.push(tasks);
+            }
+        } else {
+            groups.push(tasks);
+        }
+        let merge = format!("{id}.merge");
+        groups.push(writer.group(
+            &merge,
+            1,
+            before.into_iter().collect(),
+            writer.command(&["merge", &id], false)?,
+        ));
+        previous = Some(merge);
+    }
+    let plan = Plan {
+        format: FORMAT,
+        directory: std::env::current_dir().context("cannot find the current folder")?,
+        pipeline: arguments.stage.pipeline.clone(),
+        artifacts: address_of(&arguments.stage.common.artifacts),
+        overrides: runner_overrides(arguments),
+        shards,
+        groups,
+    };
+    console.answer(&serde_json::to_value(&plan)?)?;
+    console.say(&text(&plan)?)?;
+    Ok(Outcome::Done)
+}
+
+fn shard(index: u32, count: u32) -> Option<re4_artifact::Shard> {
+    format!("{index}/{count}").parse().ok()
+}
+
+/// The overrides of the command line, as values of `--set`.
+fn runner_overrides(arguments: &PlanArguments) -> Vec<String> {
+    let mut overrides = arguments.stage.set.clone();
+    if arguments.stage.no_images {
+        overrides.push("ingest.images=false".to_owned());
+    }
+    overrides.extend(arguments.rolled.overrides());
+    overrides
+}
+
+/// What the groups of a stage have in common.
+struct GroupWriter<'a> {
+    arguments: &'a PlanArguments,
+    overrides: &'a [String],
+    planned: &'a PlannedStage,
+}
+
+impl GroupWriter<'_> {
+    fn group(&self, id: &str, count: u32, after: Vec<String>, command: Vec<String>) -> Group {
+        Group {
+            id: id.to_owned(),
+            stage: self.planned.stage.to_string(),
+            count,
+            indices: None,
+            after,
+            cpus: self.arguments.cpus.get(),
+            memory_mb: memory_mb(self.planned.stage),
+            gpus: 0,
+            outputs: self.planned.artifact.iter().map(|path| address_of(path)).collect(),
+            command,
+        }
+    }
+
+    /// The command that begins with these words of the command line.
+    fn command(&self, words: &[&str], sharded: bool) -> Result<Vec<String>> {
+        let StageArguments { pipeline, common, .. } = &self.arguments.stage;
+        let program = std::env::current_exe().context("cannot find the program's own file")?;
+        let path = |path: &Path| -> Result<String> {
+            let text = path.to_str().map(str::to_owned);
+            Ok(text.or_fault(|| fault!("cannot plan with {}: its name is not UTF-8", path.display(); "rename it"))?)
+        };
+        let mut command = vec![path(&program)?];
+        command.extend(words.iter().map(|&word| word.to_owned()));
+        command.push(path(pipeline)?);
+        command.extend(["--artifacts".to_owned(), path(&address_of(&common.artifacts))?]);
+        command.extend([
+            "--jobs".to_owned(),
+            self.arguments.cpus.to_string(),
+            "--quiet".to_owned(),
+        ]);
+        for set in self.overrides {
+            command.extend(["--set".to_owned(), set.clone()]);
+        }
+        if sharded {
+            command.extend(["--shard".to_owned(), "{index}/{count}".to_owned()]);
+        }
+        Ok(command)
+    }
+}
+
+/// The plan as text for a person.
+fn text(plan: &Plan) -> Result<String> {
+    let mut text = "  group              tasks  after              memory".to_owned();
+    for group in &plan.groups {
+        let tasks = match &group.indices {
+            Some(indices) => format!("{} of {}", indices.len(), group.count),
+            None => group.count.to_string(),
+        };
+        let after = group.after.join(", ");
+        write!(
+            text,
+            "\n  {:<17} {tasks:>6}  {after:<17} {:>4} MiB",
+            group.id, group.memory_mb
+        )?;
+    }
+    if plan.groups.is_empty() {
+        return Ok("nothing is missing".to_owned());
+    }
+    text += "\nadd --json to get the commands; scripts/engines has programs that run them";
+    Ok(text)
+}
+
+/// `re4-pipe status`.
+pub(crate) fn status(arguments: &StatusArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.common);
+    let path = &arguments.plan;
+    let refuse = || fault!("cannot read {}: it is not the output of re4-pipe plan --json", path.display(); "write it again with re4-pipe plan PIPELINE.toml --shards N --json");
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let plan: Plan = serde_json::from_slice(&bytes).or_fault(refuse)?;
+    ensure!(
+        plan.format == FORMAT,
+        "cannot read {}: it has format {}, but this build reads format {FORMAT}", path.display(), plan.format;
+        "write it again with re4-pipe plan"
+    );
+    std::env::set_current_dir(&plan.directory)
+        .with_context(|| format!("cannot enter {}, the folder of the plan", plan.directory.display()))?;
+    let runner = Runner::new(&Settings {
+        pipeline: &plan.pipeline,
+        overrides: plan.overrides.clone(),
+        artifacts: &plan.artifacts,
+        jobs: arguments.common.jobs,
+        notes: Notes::new(true),
+        share: Share::Whole,
+    })?;
+    let planned = runner.planned()?;
+    let rows: Vec<_> = planned.iter().map(row).collect();
+    let done = planned.iter().all(|stage| stage.done);
+    console.answer(&json!({ "done": done, "stages": rows }))?;
+    let mut text = "  stage         parts    state".to_owned();
+    for (stage, row) in planned.iter().zip(&rows) {
+        let parts = match (stage.parts, &stage.missing) {
+            (Some(parts), Some(missing)) => format!("{}/{parts}", parts as usize - missing.len()),
+            (Some(parts), None) => format!("0/{parts}"),
+            _ => "?".to_owned(),
+        };
+        write!(
+            text,
+            "\n  {:<12} {parts:>7}  {}",
+            stage.stage.as_str(),
+            row["state"].as_str().unwrap_or_default()
+        )?;
+    }
+    console.say(&text)?;
+    Ok(Outcome::Done)
+}
+
+/// What is known of a stage.
+fn row(stage: &PlannedStage) -> serde_json::Value {
+    let state = match (&stage.missing, stage.done) {
+        (_, true) => "done".to_owned(),
+        (None, _) => "waiting for earlier stages".to_owned(),
+        (Some(missing), _) if missing.is_empty() => "all parts made, not merged".to_owned(),
+        (Some(missing), _) => format!("{} parts missing", missing.len()),
+    };
+    json!({
+        "stage": stage.stage.as_str(),
+        "artifact": stage.artifact,
+        "parts": stage.parts,
+        "missing": stage.missing,
+        "state": state,
+    })
+}

@@ -1,0 +1,299 @@
+//! Making artifacts in parts: as one process, as one of several, or by merging what others have made.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use re4_artifact::{Artifact, ArtifactSummary, Part, Recipe, Shard, Stage, Store, Writer};
+use re4_fault::Remedy;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::interrupt::Interrupt;
+
+/// Demonstrations per part of artifacts that are made from demonstrations. Part of the code version of the stages: other numbers give
+/// other files.
+pub(crate) const DEMOS_IN_PART: usize = 256;
+
+/// Number of parts of `items`, `in_part` in each but the last.
+pub(crate) fn parts_of(items: usize, in_part: usize) -> u32 {
+    items.div_ceil(in_part).max(1) as u32
+}
+
+/// What a process makes of the artifact of a stage. Earlier stages are made whole.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Share {
+    /// All parts that do not exist yet, and the manifest.
+    #[default]
+    Whole,
+    /// Some of the parts of this stage's artifact, and no manifest.
+    Parts(Stage, Shard),
+    /// Only the manifest of this stage's artifact, from parts that exist.
+    Merge(Stage),
+}
+
+/// The text of a [`Share`] for the worker process.
+#[derive(Serialize, Deserialize)]
+struct ShareText {
+    stage: Option<String>,
+    shard: Option<String>,
+}
+
+impl Serialize for Share {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let (stage, shard) = match self {
+            Self::Whole => (None, None),
+            Self::Parts(stage, shard) => (Some(stage.to_string()), Some(shard.to_string())),
+            Self::Merge(stage) => (Some(stage.to_string()), None),
+        };
+        ShareText { stage, shard }.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Share {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        use serde::de::Error as _;
+        let ShareText { stage, shard } = ShareText::deserialize(deserializer)?;
+        let Some(stage) = stage else { return Ok(Self::Whole) };
+        let stage = Stage::from_name(&stage).ok_or_else(|| D::Error::custom("unknown stage"))?;
+        Ok(match shard {
+            Some(shard) => Self::Parts(stage, shard.parse().map_err(D::Error::custom)?),
+            None => Self::Merge(stage),
+        })
+    }
+}
+
+/// Why a process ends before the artifact of its stage is complete, although nothing failed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Partly {
+    /// The process has made its share of the parts.
+    #[error("made {made} of the parts {first}..{end} of {}", artifact.display())]
+    Made {
+        /// Name of the stage.
+        stage: String,
+        /// Folder of the artifact.
+        artifact: PathBuf,
+        /// Number of parts of the artifact.
+        parts: u32,
+        /// First part of the share.
+        first: u32,
+        /// End of the share, exclusive.
+        end: u32,
+        /// Number of parts that this process made. The others existed.
+        made: u32,
+    },
+    /// Parts are missing.
+    #[error("cannot merge {}: {} of its {parts} parts are missing: {}", artifact.display(), missing.len(), ranges(missing))]
+    Missing {
+        /// Name of the stage.
+        stage: String,
+        /// Folder of the artifact.
+        artifact: PathBuf,
+        /// Number of parts of the artifact.
+        parts: u32,
+        /// Numbers of the missing parts.
+        missing: Vec<u32>,
+    },
+}
+
+impl Remedy for Partly {
+    fn remedy(&self) -> Option<std::borrow::Cow<'_, str>> {
+        match self {
+            Self::Made { .. } => None,
+            Self::Missing { stage, .. } => Some(
+                format!(
+                    "make them with re4-pipe {stage} and --shard, or run re4-pipe {stage} to make all that is missing"
+                )
+                .into(),
+            ),
+        }
+    }
+}
+
+/// Numbers in ascending order as ranges with their last number, such as `3, 7-9`.
+fn ranges(numbers: &[u32]) -> String {
+    let mut texts: Vec<String> = Vec::new();
+    for run in numbers.chunk_by(|a, b| a + 1 == *b) {
+        texts.push(match run {
+            [first, .., last] => format!("{first}-{last}"),
+            [only] => only.to_string(),
+            [] => continue,
+        });
+    }
+    texts.join(", ")
+}
+
+impl Share {
+    /// Whether a process with this share builds the artifact of `stage` if it has only one part. If not, the error says so.
+    pub(crate) fn builds_whole(self, store: &Store, recipe: &Recipe) -> Result<()> {
+        let artifact = || store.folder(recipe.stage(), &recipe.key());
+        let stage = recipe.stage();
+        match self {
+            Self::Parts(own, shard) if own == stage && shard.parts(1).is_empty() => Err(Partly::Made {
+                stage: stage.to_string(),
+                artifact: artifact(),
+                parts: 1,
+                first: 0,
+                end: 0,
+                made: 0,
+            }
+            .into()),
+            Self::Merge(own) if own == stage => Err(Partly::Missing {
+                stage: stage.to_string(),
+                artifact: artifact(),
+                parts: 1,
+                missing: vec![0],
+            }
+            .into()),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// An artifact that is made in parts.
+pub(crate) struct Parting<'a> {
+    pub(crate) store: &'a Store,
+    pub(crate) recipe: &'a Recipe,
+    /// Number of parts.
+    pub(crate) parts: u32,
+    pub(crate) share: Share,
+    pub(crate) interrupt: &'a Interrupt,
+}
+
+impl Parting<'_> {
+    /// Makes the parts of the share that do not exist with `make`, and unless it is a share, the manifest: `finish` gets all parts,
+    /// writes the tables that describe all of them, and returns the summary.
+    ///
+    /// # Errors
+    /// Those of `make` and `finish`; [`Partly`] if this process does not complete the artifact.
+    pub(crate) fn make(
+        &self,
+        make: impl Fn(&Writer, u32) -> Result<ArtifactSummary>,
+        finish: impl FnOnce(&mut Vec<Artifact>, &Writer) -> Result<ArtifactSummary>,
+    ) -> Result<Artifact> {
+        let each = |number| {
+            let writer = self.store.begin_part(self.recipe, Part::Numbered(number))?;
+            let summary = make(&writer, number)?;
+            Ok(Some((writer, summary)))
+        };
+        self.make_each(each, finish)
+    }
+
+    /// As [`Parting::make`], for a `make` that begins its writer itself, and returns `None` for a part that is not to be published.
+    pub(crate) fn make_each(
+        &self,
+        mut make: impl FnMut(u32) -> Result<Option<(Writer, ArtifactSummary)>>,
+        finish: impl FnOnce(&mut Vec<Artifact>, &Writer) -> Result<ArtifactSummary>,
+    ) -> Result<Artifact> {
+        let stage = self.recipe.stage();
+        let folder = self.store.folder(stage, &self.recipe.key());
+        let own = match self.share {
+            Share::Parts(of, shard) if of == stage => shard.parts(self.parts),
+            Share::Merge(of) if of == stage => 0..0,
+            _ => 0..self.parts,
+        };
+        let mut made = 0;
+        for number in own.clone() {
+            self.interrupt.check(stage.as_str())?;
+            if self.store.part(self.recipe, Part::Numbered(number))?.is_none()
+                && let Some((writer, summary)) = make(number)?
+            {
+                self.interrupt.check(stage.as_str())?;
+                writer.publish(summary)?;
+                tracing::info!(
+                    stage = stage.as_str(),
+                    part = number,
+                    parts = self.parts,
+                    "part published"
+                );
+                made += 1;
+            }
+        }
+        if matches!(self.share, Share::Parts(of, _) if of == stage) {
+            return Err(Partly::Made {
+                stage: stage.to_string(),
+                artifact: folder,
+                parts: self.parts,
+                first: own.start,
+                end: own.end,
+                made,
+            }
+            .into());
+        }
+        let mut numbered = self.published(&folder)?;
+        let writer = self.store.begin_part(self.recipe, Part::Dataset)?;
+        let summary = finish(&mut numbered, &writer)?;
+        self.interrupt.check(stage.as_str())?;
+        let dataset = writer.has_tables().then(|| writer.publish(ArtifactSummary::default()));
+        Ok(self
+            .store
+            .merge(self.recipe, &numbered, dataset.transpose()?.as_ref(), summary)?)
+    }
+
+    /// All parts.
+    fn published(&self, folder: &Path) -> Result<Vec<Artifact>> {
+        let (mut numbered, mut missing) = (Vec::new(), Vec::new());
+        for number in 0..self.parts {
+            match self.store.part(self.recipe, Part::Numbered(number))? {
+                Some(part) => numbered.push(part),
+                None => missing.push(number),
+            }
+        }
+        if missing.is_empty() {
+            return Ok(numbered);
+        }
+        Err(Partly::Missing {
+            stage: self.recipe.stage().to_string(),
+            artifact: folder.to_path_buf(),
+            parts: self.parts,
+            missing,
+        }
+        .into())
+    }
+}
+
+/// Adds up the whole numbers in the summaries of parts.
+pub(crate) fn sum_of_summaries(parts: &[Artifact]) -> serde_json::Map<String, serde_json::Value> {
+    let mut sum = serde_json::Map::new();
+    for part in parts {
+        for (name, value) in part.manifest().summary.as_object().into_iter().flatten() {
+            let before = sum.get(name).and_then(serde_json::Value::as_u64).unwrap_or_default();
+            sum.insert(name.clone(), (before + value.as_u64().unwrap_or_default()).into());
+        }
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use re4_fault::Remedy as _;
+
+    #[test]
+    fn missing_parts_are_named_as_ranges() {
+        assert_eq!(ranges(&[3, 7, 8, 9, 12, 13]), "3, 7-9, 12-13");
+        let missing = Partly::Missing {
+            stage: "ingest".to_owned(),
+            artifact: "artifacts/episodes/0123".into(),
+            parts: 40,
+            missing: vec![7, 8],
+        };
+        assert_eq!(
+            missing.sentence(),
+            "cannot merge artifacts/episodes/0123: 2 of its 40 parts are missing: 7-8; make them with re4-pipe ingest and --shard, or \
+             run re4-pipe ingest to make all that is missing"
+        );
+    }
+
+    #[test]
+    fn a_share_survives_the_way_to_the_worker() {
+        let shares = [
+            Share::Whole,
+            Share::Parts(Stage::Ingest, "3/8".parse().unwrap()),
+            Share::Merge(Stage::Segment),
+        ];
+        for share in shares {
+            let text = serde_json::to_string(&share).unwrap();
+            assert_eq!(serde_json::from_str::<Share>(&text).unwrap(), share);
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Which parts of which artifacts a pipeline needs, and which of them exist.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Context as _, Result};
+use re4_artifact::Stage;
+use re4_task::Domain;
+
+use crate::parts::{Partly, Share};
+use crate::pipeline::PoseSource;
+use crate::runner::{Built, Runner};
+
+/// A stage of a pipeline and its artifact.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PlannedStage {
+    /// The stage.
+    pub stage: Stage,
+    /// Number of parts of its artifact; `None` if that depends on a dataset that is not ingested.
+    pub parts: Option<u32>,
+    /// Folder of its artifact; `None` if its key depends on artifacts that do not exist.
+    pub artifact: Option<PathBuf>,
+    /// Numbers of the parts that do not exist; `None` if that is not known because an earlier artifact does not exist.
+    pub missing: Option<Vec<u32>>,
+    /// Whether the artifact is complete.
+    pub done: bool,
+}
+
+impl Runner {
+    /// The stages that a pipeline runs, in order: up to the rollouts, or to the audit if it has no table `[rollout]`.
+    ///
+    /// # Errors
+    /// If the pipeline has no policy although it has rollouts.
+    pub fn stages(&self) -> Result<Vec<Stage>> {
+        let mut stages = vec![Stage::Ingest, Stage::Segment];
+        let pipeline = &self.pipeline;
+        if pipeline.rollout.is_none() {
+            stages.push(Stage::Audit);
+            return Ok(stages);
+        }
+        if pipeline.pose()?.source != PoseSource::Recorded {
+            stages.push(Stage::TrainPose);
+        } else if pipeline.task.domain() == Domain::Space && !pipeline.index()?.leave_out.is_empty() {
+            stages.push(Stage::Audit);
+        }
+        stages.extend(pipeline.policy()?.inputs());
+        if pipeline.scenes.is_some() {
+            stages.push(Stage::Scenes);
+        }
+        stages.push(Stage::Rollout);
+        Ok(stages)
+    }
+
+    /// Makes the artifact of a stage of the pipeline, with all that it needs, or this process's share of it.
+    ///
+    /// # Errors
+    /// As the method of the stage; [`Partly`] if the artifact is not complete afterwards.
+    pub fn artifact_of(&self, stage: Stage) -> Result<Built> {
+        let planar = self.pipeline.task.is_planar();
+        match stage {
+            Stage::Ingest => self.ingest(),
+            Stage::Segment => self.segment(&self.ingest()?),
+            Stage::Audit => {
+                let episodes = self.ingest()?;
+                let modes = self.segment(&episodes)?;
+                self.audit(&episodes, &modes)
+            }
+            Stage::TrainPose if planar => self.train_pose(&self.ingest()?)?.context("no pose estimator"),
+            Stage::TrainPose => {
+                let episodes = self.ingest()?;
+                let modes = self.segment(&episodes)?;
+                self.train_spatial(&episodes, &modes)?.context("no pose estimator")
+            }
+            Stage::Index => {
+                let episodes = self.ingest()?;
+                let modes = self.segment(&episodes)?;
+                if planar {
+                    let poses = self.train_pose(&episodes)?;
+                    self.index(&episodes, &modes, poses.as_ref())
+                } else {
+                    let poses = self.train_spatial(&episodes, &modes)?;
+                    self.index_spatial(&episodes, &modes, poses.as_ref())
+                }
+            }
+            Stage::Train => self.train(),
+            Stage::Scenes => self.scenes(&self.ingest()?)?.context("no table [scenes]"),
+            Stage::Rollout => Ok(self.roll_out()?.0),
+            Stage::Replay | Stage::Compare | Stage::Influence | Stage::Curate => {
+                anyhow::bail!("the stage {stage} is not made in parts")
+            }
+        }
+    }
+
+    /// What exists of the artifacts of the pipeline's stages. Nothing is made. The dataset is opened and hashed.
+    ///
+    /// # Errors
+    /// If the pipeline or the dataset cannot be used.
+    pub fn planned(&self) -> Result<Vec<PlannedStage>> {
+        let mut planned = Vec::new();
+        // Stages from the first one whose artifact is not complete are not looked at, because their keys are not known.
+        let mut open = true;
+        let mut demos = None;
+        for stage in self.stages()? {
+            let looked = if open { Some(self.looking(stage)?) } else { None };
+            let of = match looked {
+                Some(Ok(built)) => PlannedStage {
+                    stage,
+                    parts: Some(built.artifact.parts()),
+                    artifact: Some(built.artifact.path().to_path_buf()),
+                    missing: Some(Vec::new()),
+                    done: true,
+                },
+                Some(Err((artifact, parts, missing))) => {
+                    open = false;
+                    PlannedStage {
+                        stage,
+                        parts: Some(parts),
+                        artifact: Some(artifact),
+                        missing: Some(missing),
+                        done: false,
+                    }
+                }
+                None => PlannedStage {
+                    stage,
+                    parts: self.parts_expected(stage, demos)?,
+                    artifact: None,
+                    missing: None,
+                    done: false,
+                },
+            };
+            if stage == Stage::Ingest {
+                demos = of.parts;
+            }
+            planned.push(of);
+        }
+        Ok(planned)
+    }
+
+    /// The artifact of a stage whose inputs exist; if it is not complete, its folder, the number of its parts and the missing ones.
+    #[expect(clippy::type_complete, reason = "used once")]
+    fn looking(&self, stage: Stage) -> Result<Result<Built, (PathBuf, u32, Vec<u32>)>> {
+        let start = Instant::now();
+        let found = self.sharing(Share::Merge(stage)).artifact_of(stage);
+        tracing::debug!(stage = stage.as_str(), wall = ?start.elapsed(), "looked for the artifact");
+        match found {
+            Ok(built) => Ok(Ok(built)),
+            Err(error) => match error.downcast::<Partly>() {
+                Ok(Partly::Missing {
+                    artifact,
+                    parts,
+                    missing,
+                    ..
+                }) => Ok(Err((artifact, parts, missing))),
+                Ok(other) => Err(other.into()),
+                Err(error) => Err(error),
+            },
+        }
+    }
+
+    /// Number of parts of an artifact whose inputs do not exist yet.
+    fn parts_expected(&self, stage: Stage, of_demos: Option<u32>) -> Result<Option<u32>> {
+        Ok(match stage {
+            Stage::Segment => of_demos,
+            Stage::Index if !self.pipeline.task.is_planar() => of_demos,
+            Stage::Rollout => self.parts_of_rollouts()?,
+            _ => Some(1),
+        })
+    }
+}

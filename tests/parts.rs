@@ -1,0 +1,314 @@
+//! Pipelines in parts: the same bytes for any number of processes in any order, and nothing is published before it is complete.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::support::{Place, repository};
+use re4_artifact::{Artifact, Row as _, TableSpec};
+use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
+use serde_json::Value;
+
+/// Three parts of 256 demonstrations, the last one short.
+const DEMOS: usize = 600;
+
+/// A folder with many demonstrations and a pipeline file on each dataset; `None` without Python.
+fn many() -> Option<Place> {
+    let Some(python) = std::env::var_os("RE4_PYTHON") else {
+        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+        return None;
+    };
+    let place = Place::empty();
+    let status = Command::new(python)
+        .arg(repository().join("tests/make_many.py"))
+        .args([repository().join("data/can-sample.hdf5"), place.path().join("data")])
+        .arg(DEMOS.to_string())
+        .status()
+        .unwrap();
+    assert!(status.success());
+    for (name, source) in [("many", "many"), ("bad", "some_bad"), ("good", "without_bad")] {
+        let text = format!(
+            "task = \"can\"\nvariant = \"state\"\n[ingest]\nsource = \"{source}.hdf5\"\non_bad = \"{}\"\n[segment]\n[index]\n[pose]\nsource = \"recorded\"\n\
+             [policy]\nkind = \"paper\"\n[rollout]\nseeds = \"0..300\"\n",
+            if name == "bad" { "leave_out" } else { "refuse" }
+        );
+        place.write(&format!("{name}.toml"), text);
+    }
+    Some(place)
+}
+
+/// Runs the program with its artifacts in a folder of this name. Returns its exit code and its output with errors.
+fn run(place: &Place, artifacts: &str, arguments: &[&str]) -> (i32, String) {
+    let output = Command::new(crate::support::PROGRAM)
+        .current_dir(place.path())
+        .args(arguments)
+        .args(["--artifacts", artifacts, "--quiet"])
+        .output()
+        .unwrap();
+    let text = [output.stdout, output.stderr].concat();
+    (output.status.code().unwrap(), String::from_utf8(text).unwrap())
+}
+
+fn succeeds(place: &Place, artifacts: &str, arguments: &[&str]) -> String {
+    let (code, text) = run(place, artifacts, arguments);
+    assert_eq!(code, 0, "{arguments:?}: {text}");
+    text
+}
+
+/// All files of the artifacts, by their paths. Records of runs contain times.
+fn tree(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![root.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(root).unwrap().to_path_buf();
+                if !name.starts_with("runs") {
+                    found.insert(name, fs::read(&path).unwrap());
+                }
+            }
+        }
+    }
+    found
+}
+
+fn assert_same(place: &Place, one: &str, other: &str) {
+    let (one, other) = (tree(&place.path().join(one)), tree(&place.path().join(other)));
+    assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
+    let differing: Vec<_> = one.iter().filter(|(path, bytes)| other[*path] != **bytes).collect();
+    assert!(
+        differing.is_empty(),
+        "{:?}",
+        differing.iter().map(|(path, _)| path).collect::<Vec<_>>()
+    );
+}
+
+/// The only artifact of this kind.
+fn only(place: &Place, artifacts: &str, kind: &str) -> Artifact {
+    let folders: Vec<_> = fs::read_dir(place.path().join(artifacts).join(kind)).unwrap().collect();
+    assert_eq!(folders.len(), 1, "{kind}");
+    Artifact::open(&folders[0].as_ref().unwrap().path()).unwrap()
+}
+
+#[test]
+fn shares_in_any_order_and_number_give_the_bytes_of_one_process() {
+    let Some(place) = many() else { return };
+    succeeds(&place, "one", &["index", "many.toml", "--jobs", "2"]);
+    let episodes = only(&place, "one", "episodes");
+    assert_eq!(episodes.parts(), 3);
+    assert_eq!(episodes.read::<DemoRow>().unwrap().len(), DEMOS);
+    let numbers: Vec<u32> = episodes
+        .read::<EpisodeRow>()
+        .unwrap()
+        .iter()
+        .map(|row| row.episode)
+        .collect();
+    assert_eq!(numbers, (0..DEMOS as u32).collect::<Vec<_>>());
+    for stage in ["ingest", "segment", "index"] {
+        // A share that is empty, others in reverse order, one of them twice, and one missing.
+        for shard in ["0/7", "6/7", "4/7", "4/7"] {
+            succeeds(&place, "parts", &[stage, "many.toml", "--shard", shard]);
+        }
+        let (code, text) = run(&place, "parts", &["merge", stage, "many.toml"]);
+        assert_eq!(code, 3, "{text}");
+        assert!(text.contains("1 of its 3 parts are missing: 0;"), "{text}");
+        // Other processes with another number of shares.
+        succeeds(&place, "parts", &[stage, "many.toml", "--shard", "0/2"]);
+        succeeds(&place, "parts", &["merge", stage, "many.toml"]);
+        succeeds(&place, "parts", &["merge", stage, "many.toml"]);
+    }
+    assert_same(&place, "one", "parts");
+    succeeds(&place, "one", &["verify"]);
+    // The audit reads all parts.
+    let audit = succeeds(&place, "one", &["audit", "many.toml", "--json"]);
+    let audit: Value = serde_json::from_str(&audit).unwrap();
+    assert_eq!(audit["summary"]["episodes"], DEMOS, "{audit}");
+}
+
+#[test]
+fn numbers_do_not_depend_on_demonstrations_that_are_left_out_of_other_parts() {
+    let Some(place) = many() else { return };
+    for shard in ["2/3", "0/3", "1/3"] {
+        succeeds(&place, "bad", &["ingest", "bad.toml", "--shard", shard]);
+    }
+    succeeds(&place, "bad", &["merge", "ingest", "bad.toml"]);
+    succeeds(&place, "whole", &["ingest", "bad.toml"]);
+    assert_same(&place, "bad", "whole");
+    succeeds(&place, "bad", &["verify"]);
+    succeeds(&place, "good", &["ingest", "good.toml"]);
+    let (bad, good) = (only(&place, "bad", "episodes"), only(&place, "good", "episodes"));
+    assert_eq!(bad.manifest().summary["left_out"], 3);
+    let tables: [&'static TableSpec; 3] = [
+        EpisodeRow::table(),
+        FrameRow::<SpatialColumns>::table(),
+        DemoRow::table(),
+    ];
+    for spec in tables {
+        let read = |artifact: &Artifact| {
+            let rows = artifact.table(spec).unwrap().read_all().unwrap();
+            // The number of a model begins with another one in each part.
+            let model = rows.schema().index_of("model");
+            let mut rows = rows;
+            if let Ok(model) = model {
+                rows.remove_column(model);
+            }
+            rows
+        };
+        assert_eq!(read(&bad), read(&good), "{}", spec.name);
+    }
+    // The stages after it.
+    succeeds(&place, "bad", &["index", "bad.toml"]);
+    succeeds(&place, "good", &["index", "good.toml"]);
+    let index = |artifacts: &str| only(&place, artifacts, "index").manifest().summary.clone();
+    assert_eq!(index("bad"), index("good"));
+    // A dataset that is to be refused names all bad demonstrations, of all parts.
+    let (code, text) = run(
+        &place,
+        "refused",
+        &["ingest", "bad.toml", "--set", "ingest.on_bad=refuse"],
+    );
+    assert_eq!(code, 2);
+    for demo in ["demo_3", "demo_4", "demo_300"] {
+        assert!(text.contains(demo), "{text}");
+    }
+}
+
+#[test]
+fn a_plan_lists_the_tasks_and_what_is_missing() {
+    let Some(place) = many() else { return };
+    let plan = |more: &[&str]| -> Value {
+        let arguments = [&["plan", "many.toml", "--shards", "2", "--json"], more].concat();
+        serde_json::from_str(&succeeds(&place, "artifacts", &arguments)).unwrap()
+    };
+    let ids = |plan: &Value| -> Vec<(String, u64)> {
+        let groups = plan["groups"].as_array().unwrap();
+        let id = |group: &Value| {
+            (
+                group["id"].as_str().unwrap().to_owned(),
+                group["count"].as_u64().unwrap(),
+            )
+        };
+        groups.iter().map(id).collect()
+    };
+    let whole = plan(&[]);
+    let expected = [
+        ("ingest", 2),
+        ("ingest.merge", 1),
+        ("segment", 2),
+        ("segment.merge", 1),
+        ("index", 2),
+        ("index.merge", 1),
+        ("rollout", 2),
+        ("rollout.merge", 1),
+    ];
+    assert_eq!(ids(&whole), expected.map(|(id, count)| (id.to_owned(), count)));
+    place.write("plan.json", whole.to_string());
+    // Each command runs as it is written.
+    for group in &whole["groups"].as_array().unwrap()[..5] {
+        for index in 0..group["count"].as_u64().unwrap() {
+            if (group["id"].as_str(), index) == (Some("index"), 0) {
+                continue;
+            }
+            let words: Vec<String> = group["command"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|word| word.as_str().unwrap().replace("{index}", &index.to_string()))
+                .map(|word| word.replace("{count}", &group["count"].to_string()))
+                .collect();
+            let output = Command::new(&words[0])
+                .args(&words[1..])
+                .current_dir(place.path())
+                .output()
+                .unwrap();
+            assert!(
+                output.status.success(),
+                "{words:?}: {}",
+                String::from_utf8_lossy(&output.stderr)
+            );
+        }
+    }
+    let missing = plan(&["--missing"]);
+    assert_eq!(ids(&missing)[0], ("index".to_owned(), 2));
+    assert_eq!(missing["groups"][0]["indices"], serde_json::json!([0]));
+    assert_eq!(missing["groups"][0]["after"], serde_json::json!([]));
+    let status = succeeds(&place, "artifacts", &["status", "plan.json"]);
+    assert!(status.contains("segment          3/3  done"), "{status}");
+    assert!(status.contains("index            2/3  1 parts missing"), "{status}");
+    assert!(
+        status.contains("rollout          0/3  waiting for earlier stages"),
+        "{status}"
+    );
+}
+
+#[test]
+fn rollouts_in_parts_have_the_summary_of_all_rollouts() {
+    let place = Place::new();
+    let seeds = ["--seeds", "300000..301500"];
+    let whole = succeeds(
+        &place,
+        "one",
+        &[&["rollout", "small.toml", "--max-steps", "8", "--json"][..], &seeds].concat(),
+    );
+    let rollouts = only(&place, "one", "rollouts");
+    assert_eq!(rollouts.parts(), 2);
+    let rows: Vec<re4_rollout::PlaneResultRow> = rollouts.read().unwrap();
+    assert_eq!(
+        rows.iter().map(|row| row.core.episode).collect::<Vec<_>>(),
+        (0..1500).collect::<Vec<_>>()
+    );
+    assert_eq!(
+        rows.iter().map(|row| row.core.seed).collect::<Vec<_>>(),
+        (300_000..301_500).collect::<Vec<_>>()
+    );
+    let mean = rows.iter().map(|row| row.score_max).sum::<f64>() / 1500.0;
+    let whole: Value = serde_json::from_str(&whole).unwrap();
+    assert!((whole["metrics"]["score_scaled_mean"]["value"].as_f64().unwrap() - mean).abs() < 1e-12);
+    for shard in ["1/2", "0/2"] {
+        succeeds(
+            &place,
+            "parts",
+            &[
+                &["rollout", "small.toml", "--max-steps", "8", "--shard", shard][..],
+                &seeds,
+            ]
+            .concat(),
+        );
+    }
+    succeeds(
+        &place,
+        "parts",
+        &[&["merge", "rollout", "small.toml", "--max-steps", "8"][..], &seeds].concat(),
+    );
+    assert_same(&place, "one", "parts");
+    // One of them is another artifact of one part, with the same rows.
+    succeeds(
+        &place,
+        "few",
+        &["rollout", "small.toml", "--max-steps", "8", "--seeds", "301024..301500"],
+    );
+    let few: Vec<re4_rollout::PlaneResultRow> = only(&place, "few", "rollouts").read().unwrap();
+    assert_eq!(
+        few.iter().map(|row| row.score_max).collect::<Vec<_>>(),
+        rows[1024..].iter().map(|row| row.score_max).collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn a_stage_of_one_part_is_made_by_one_share() {
+    let place = Place::new();
+    let text = succeeds(&place, "artifacts", &["ingest", "small.toml", "--shard", "0/3"]);
+    assert!(text.contains("made 0 of the parts 0..0"), "{text}");
+    assert!(!place.path().join("artifacts/episodes").exists());
+    let (code, text) = run(&place, "artifacts", &["merge", "ingest", "small.toml"]);
+    assert_eq!(code, 3, "{text}");
+    succeeds(&place, "artifacts", &["ingest", "small.toml", "--shard", "2/3"]);
+    succeeds(&place, "artifacts", &["merge", "ingest", "small.toml"]);
+    let (code, text) = run(&place, "artifacts", &["run", "small.toml", "--shard", "0/2"]);
+    assert_eq!(code, 2);
+    assert!(text.contains("--shard does not apply to this command"), "{text}");
+}
