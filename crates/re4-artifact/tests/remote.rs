@@ -12,8 +12,8 @@ use std::sync::{Arc, Mutex};
 
 use common::{artifact_names, files, publish_sample, recipe};
 use re4_artifact::{
-    ArtifactError, Listed, Put, Remote, RemoteError, Stage, Store, attach, attached, fetch, fetch_all, fetch_folder,
-    pull_folder, push_folder,
+    Artifact, ArtifactError, ArtifactSummary, Listed, Part, Put, Remote, RemoteError, Stage, Store, attach, attached,
+    fetch, fetch_all, fetch_folder, pull_folder, push_folder,
 };
 use re4_fault::Remedy as _;
 use serde_json::json;
@@ -122,7 +122,7 @@ impl Machine {
         self.store = connected(self.cache.path(), remote);
     }
 
-    fn lookup(&self) -> Result<Option<re4_artifact::Artifact>, ArtifactError> {
+    fn lookup(&self) -> Result<Option<Artifact>, ArtifactError> {
         self.store.lookup(Stage::Segment, &recipe(1).key())
     }
 }
@@ -232,7 +232,7 @@ fn an_upload_that_was_cut_off_anywhere_is_continued() {
         remote.cut_after(requests);
         let writer = one.store.begin(&recipe(2)).unwrap();
         writer.file("weights", b"of any length").unwrap();
-        let cut = writer.publish(re4_artifact::ArtifactSummary::default()).is_err();
+        let cut = writer.publish(ArtifactSummary::default()).is_err();
         remote.cut_after(usize::MAX);
         one.again(&remote);
         // The artifact is in the cache, and the next run uploads the rest.
@@ -273,7 +273,7 @@ fn other_bytes_under_a_taken_name_are_an_error_that_names_both() {
             .write_columns(common::columns(&common::sample_rows(rows)))
             .unwrap();
         table.finish().unwrap();
-        writer.publish(re4_artifact::ArtifactSummary::default())
+        writer.publish(ArtifactSummary::default())
     };
     let error = publish(400).unwrap_err();
     assert!(matches!(error, ArtifactError::NotReproducible { .. }));
@@ -348,6 +348,61 @@ fn all_artifacts_are_fetched() {
     assert_eq!(artifact_names(other.cache.path()), artifact_names(one.cache.path()));
     let folder = other.store.folder(Stage::Segment, &recipe(9).key());
     assert!(!fetch_folder(other.cache.path(), &folder).unwrap());
+}
+
+/// Publishes a part of ten rows.
+fn publish_part(store: &Store, number: u32) {
+    let writer = store.begin_part(&recipe(1), Part::Numbered(number)).unwrap();
+    let mut table = writer.table_in_groups(&common::EVERY_KIND, 64).unwrap();
+    table.write_columns(common::columns(&common::sample_rows(64))).unwrap();
+    table.finish().unwrap();
+    writer.publish(ArtifactSummary::default()).unwrap();
+}
+
+/// Publishes the manifest of an artifact of three parts.
+fn merge(store: &Store) -> Artifact {
+    let part = |number| store.part(&recipe(1), Part::Numbered(number)).unwrap().unwrap();
+    let parts: Vec<Artifact> = (0..3).map(part).collect();
+    store
+        .merge(&recipe(1), &parts, None, ArtifactSummary::default())
+        .unwrap()
+}
+
+#[test]
+fn machines_make_parts_of_an_artifact_and_another_merges_them() {
+    let alone = tempfile::tempdir().unwrap();
+    let alone = Store::open(alone.path()).unwrap();
+    (0..3).for_each(|number| publish_part(&alone, number));
+    let expected = files(merge(&alone).path());
+
+    let remote = Memory::new();
+    let makers: Vec<Machine> = (0..3).map(|_| Machine::new(&remote)).collect();
+    for (number, maker) in makers.iter().enumerate() {
+        publish_part(&maker.store, number as u32);
+        // Two machines that make the same part agree.
+        publish_part(&makers[0].store, number as u32);
+    }
+    assert!(makers[0].lookup().unwrap().is_none());
+    assert_eq!(remote.names().len(), 6);
+    let merger = Machine::new(&remote);
+    assert_eq!(files(merge(&merger.store).path()), expected);
+    assert_eq!(*remote.created.lock().unwrap().last().unwrap(), name("manifest.json"));
+    // One machine has a part of it already, the other has none.
+    for reader in [&makers[1], &Machine::new(&remote)] {
+        assert_eq!(files(reader.lookup().unwrap().unwrap().path()), expected);
+    }
+    // An object store that lost what it had gets all of it again.
+    for object in remote.names() {
+        remote.remove(&object);
+    }
+    let mut merger = merger;
+    merger.again(&remote);
+    merger.lookup().unwrap().unwrap();
+    assert_eq!(remote.names().len(), 7);
+    // A part that is missing is named.
+    remote.remove(&name("parts/000002/part.json"));
+    let error = Machine::new(&remote).lookup().unwrap_err().to_string();
+    assert!(error.contains("parts/000002/part.json is missing"), "{error}");
 }
 
 #[test]
