@@ -2,6 +2,7 @@
 #
 # Tests that run Python (notebooks, reports in a browser) need its interpreter in RE4_PYTHON, which is set here.
 # Tests on Ray run if RE4_RAY is a Python that has ray, or if scripts/setup-engines.sh ray has made one.
+# Tests of object stores need moto's server in RE4_MOTO, which is set here; otherwise they report that they are skipped.
 # Tests that simulate Lift, Can and Square find MuJoCo and robosuite's assets in the folder RE4_SIMULATORS.
 # Tests on the human Push-T demonstrations need them in the folder RE4_DATA or in ../shared/data; otherwise they report that they are
 # skipped.
@@ -15,6 +16,10 @@ if [ -z "${RE4_RAY:-}" ] && [ -x target/ray/bin/python ]; then
     RE4_RAY="$PWD/target/ray/bin/python"
 fi
 [ -z "${RE4_RAY:-}" ] || export RE4_RAY
+if [ -z "${RE4_MOTO:-}" ] && [ -x target/moto/bin/moto_server ]; then
+    RE4_MOTO="$PWD/target/moto/bin/moto_server"
+fi
+[ -z "${RE4_MOTO:-}" ] || export RE4_MOTO
 if [ -z "${RE4_DATA:-}" ] && [ -d ../shared/data/pusht ]; then
     RE4_DATA="$(cd ../shared/data && pwd)"
     export RE4_DATA

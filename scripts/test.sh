@@ -22,6 +22,7 @@ scripts/setup.sh
 # Fetches all packages of the lock file, including those for other systems, because the test of licences reads them offline.
 cargo fetch --locked
 check "setting up Python" scripts/setup-python.sh
+check "setting up the server that simulates S3" scripts/setup-moto.sh
 check "setting up the simulators" scripts/setup-simulators.sh
 check "setting up Slurm" scripts/setup-engines.sh
 . scripts/test-environment.sh
@@ -31,8 +32,11 @@ export RE4_TEST_LOGS
 check "format" cargo fmt --all --check
 # shellcheck disable=SC2086 # a list of arguments
 check "tests" run_tests $ALL_TESTS
+# The feature is off by default, so the tests above are those of a program without it.
+check "tests with object stores" cargo test --workspace --locked --features re4-pipe/object-store --test it object_store::
 check "documentation tests" cargo test --workspace --locked --no-fail-fast --doc
 check "lints" cargo clippy --workspace --all-targets --locked -- -D warnings
+check "lints with object stores" cargo clippy --workspace --all-targets --locked --features re4-pipe/object-store -- -D warnings
 
 {
     echo

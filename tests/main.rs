@@ -30,6 +30,7 @@ mod kill;
 mod lerobot;
 mod notebooks;
 mod notes;
+mod object_store;
 mod parts;
 mod pipeline;
 mod policies;

@@ -15,6 +15,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 pub(crate) mod dataset;
+#[cfg(feature = "object-store")]
+pub(crate) mod moto;
 pub(crate) mod synthetic_audit;
 
 /// Maximum time to wait for any event. It is generous because the tests check that the event happens, not how fast it does on a

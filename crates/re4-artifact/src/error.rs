@@ -7,6 +7,7 @@ use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::remote::RemoteError;
 use crate::spec::ColumnKind;
 
 /// An error while writing, finding or reading an artifact.
@@ -208,6 +209,17 @@ pub enum ArtifactError {
         /// The words of the column's type, separated by commas.
         known: String,
     },
+    /// An object store did not answer, or refused.
+    #[error("cannot {operation} {object}: {source}")]
+    #[remedy(source.remedy.map(Cow::Borrowed))]
+    Remote {
+        /// The operation, as a verb.
+        operation: &'static str,
+        /// Address of the object.
+        object: String,
+        /// The reason.
+        source: RemoteError,
+    },
     /// A table has the columns of another domain.
     #[error(
         "cannot read table {table} of {folder} as a table of the domain {expected}: it belongs to the domain {found}",
@@ -261,6 +273,20 @@ impl ArtifactError {
                 path,
                 source,
             }
+        }
+    }
+
+    /// The same error about a manifest, for one that is at another place than it was read from.
+    pub(crate) fn at(self, place: &Path) -> Self {
+        let folder = place.to_path_buf();
+        match self {
+            Self::Damaged { damage, .. } => Self::Damaged { folder, damage },
+            Self::NewerManifest { found, supported, .. } => Self::NewerManifest {
+                folder,
+                found,
+                supported,
+            },
+            other => other,
         }
     }
 

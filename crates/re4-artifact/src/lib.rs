@@ -52,6 +52,7 @@ mod manifest;
 mod owner;
 mod parts;
 mod reader;
+mod remote;
 mod rows;
 mod spec;
 mod store;
@@ -73,6 +74,9 @@ pub use manifest::{
 };
 pub use parts::{Part, Shard};
 pub use reader::{Artifact, Batches, Table};
+pub use remote::{
+    Listed, Put, Remote, RemoteError, attach, attached, fetch, fetch_all, fetch_folder, pull_folder, push_folder,
+};
 pub use rows::{
     ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either,
     trimmed,

@@ -103,12 +103,23 @@ impl Store {
             .join(part.to_string())
     }
 
-    /// Returns a part of the artifact of this recipe if it has been published, after checking its manifest.
+    /// Returns a part of the artifact of this recipe if it has been published, after checking its manifest. If the store is the cache of
+    /// an object store, the part is downloaded or uploaded if one of them lacks it.
     ///
     /// # Errors
     /// [`ArtifactError::Damaged`] if the manifest is damaged or belongs to another part, [`ArtifactError::OtherKey`] if it belongs to
     /// another artifact.
     pub fn part(&self, recipe: &Recipe, part: Part) -> Result<Option<Artifact>, ArtifactError> {
+        self.pull(&self.part_folder(recipe, part), PART_MANIFEST_NAME)?;
+        let found = self.part_here(recipe, part)?;
+        if let Some(part) = &found {
+            self.push(part.path(), PART_MANIFEST_NAME)?;
+        }
+        Ok(found)
+    }
+
+    /// [`Store::part`] in the folder of the store alone.
+    pub(crate) fn part_here(&self, recipe: &Recipe, part: Part) -> Result<Option<Artifact>, ArtifactError> {
         let folder = self.part_folder(recipe, part);
         match fs::symlink_metadata(&folder) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -158,11 +169,13 @@ impl Store {
             summary,
             Division::Into(numbered.len() as u32),
         )?;
-        self.publish_manifest(&folder, &manifest)
+        let artifact = self.publish_manifest(&folder, &manifest)?;
+        self.push(&folder, MANIFEST_NAME)?;
+        Ok(artifact)
     }
 
     /// Publishes the manifest by a hard link, which does not replace an existing file.
-    fn publish_manifest(&self, folder: &Path, manifest: &Manifest) -> Result<Artifact, ArtifactError> {
+    pub(crate) fn publish_manifest(&self, folder: &Path, manifest: &Manifest) -> Result<Artifact, ArtifactError> {
         let path = folder.join(MANIFEST_NAME);
         let write = |error| ArtifactError::io("write", &path)(error);
         let _publication = Publication::wait();

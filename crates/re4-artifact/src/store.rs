@@ -17,6 +17,7 @@ use crate::key::{Key, Recipe, Stage};
 use crate::manifest::{MANIFEST_NAME, PARTS};
 use crate::owner::{is_leftover, prefix};
 use crate::reader::Artifact;
+use crate::remote::{Connection, connection};
 use crate::writer::{Publication, Writer, remove_own};
 
 const RUNS: &str = "runs";
@@ -34,6 +35,8 @@ pub struct Store {
     root: PathBuf,
     /// The files of artifacts that were verified, if they are verified only once.
     verified: Option<Arc<Mutex<Verified>>>,
+    /// The object store of which this store is the cache.
+    pub(crate) connection: Option<Arc<Connection>>,
     /// Whether artifacts in parts are verified part by part, when these are read.
     by_part: bool,
 }
@@ -56,6 +59,7 @@ impl Store {
         let store = Self {
             root: root.to_path_buf(),
             verified: None,
+            connection: connection(root),
             by_part: false,
         };
         match store.remove_leftovers() {
@@ -102,13 +106,24 @@ impl Store {
         self.root.join(stage.artifact()).join(key.short())
     }
 
-    /// Returns the artifact with this stage and key if it has been published, after verifying every byte of it.
+    /// Returns the artifact with this stage and key if it has been published, after verifying every byte of it. If the store is the
+    /// cache of an object store, it is downloaded or uploaded if one of them lacks it.
     ///
     /// # Errors
     /// [`ArtifactError::Damaged`] if a file differs from what was published; a damaged artifact is never rebuilt silently.
     /// [`ArtifactError::NewerManifest`] if a newer build wrote the artifact, [`ArtifactError::OtherKey`] if the folder belongs to
     /// another key.
     pub fn lookup(&self, stage: Stage, key: &Key) -> Result<Option<Artifact>, ArtifactError> {
+        self.pull(&self.folder(stage, key), MANIFEST_NAME)?;
+        let found = self.lookup_here(stage, key)?;
+        if let Some(artifact) = &found {
+            self.push(artifact.path(), MANIFEST_NAME)?;
+        }
+        Ok(found)
+    }
+
+    /// [`Store::lookup`] in the folder of the store alone.
+    pub(crate) fn lookup_here(&self, stage: Stage, key: &Key) -> Result<Option<Artifact>, ArtifactError> {
         let folder = self.folder(stage, key);
         match fs::symlink_metadata(&folder) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -169,24 +184,28 @@ impl Store {
     /// [`ArtifactError::Io`] if the file cannot be written.
     pub fn record_run(&self, stage: Stage, key: &Key, summary: &impl Serialize) -> Result<PathBuf, ArtifactError> {
         let text = canonical_text(&canonical_json(summary)?);
+        let path = record(&self.root, stage.as_str(), key);
+        self.write_record(&path, text.as_bytes())?;
+        self.push_record(&path)?;
+        Ok(path)
+    }
+
+    pub(crate) fn write_record(&self, path: &Path, text: &[u8]) -> Result<(), ArtifactError> {
         let folder = self.root.join(RUNS);
-        let path = folder.join(format!("{stage}-{}.json", key.short()));
         fs::create_dir_all(&folder).map_err(ArtifactError::io("create the folder", &folder))?;
         let mut file = self
             .temporary(|unfinished| tempfile::Builder::new().prefix(&prefix("run")).tempfile_in(unfinished))
-            .map_err(ArtifactError::io("write", &path))?;
-        file.write_all(text.as_bytes())
-            .map_err(ArtifactError::io("write", &path))?;
-        file.persist(&path)
-            .map_err(|error| ArtifactError::io("write", &path)(error.error))?;
+            .map_err(ArtifactError::io("write", path))?;
+        file.write_all(text).map_err(ArtifactError::io("write", path))?;
+        file.persist(path)
+            .map_err(|error| ArtifactError::io("write", path)(error.error))?;
         self.remove_if_empty();
-        Ok(path)
+        Ok(())
     }
 
     /// Reads the record of the run that made an artifact; `None` if there is none, or if it is not JSON.
     pub fn run_record(root: &Path, stage: Stage, key: &Key) -> Option<Value> {
-        let path = root.join(RUNS).join(format!("{stage}-{}.json", key.short()));
-        serde_json::from_slice(&fs::read(path).ok()?).ok()
+        serde_json::from_slice(&fs::read(record(root, stage.as_str(), key)).ok()?).ok()
     }
 
     /// Creates a temporary file or folder with `create`, which gets the folder for it.
@@ -226,6 +245,11 @@ impl Store {
         self.remove_if_empty();
         Ok(())
     }
+}
+
+/// The record of the run that made an artifact.
+pub(crate) fn record(root: &Path, stage: &str, key: &Key) -> PathBuf {
+    root.join(RUNS).join(format!("{stage}-{}.json", key.short()))
 }
 
 /// The states of all files and folders in a folder, by their paths relative to it.

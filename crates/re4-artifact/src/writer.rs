@@ -62,7 +62,7 @@ pub struct Writer {
 
 /// The temporary folder of a writer. It is removed on drop, unless it was published.
 #[derive(Debug)]
-struct Temporary {
+pub(crate) struct Temporary {
     folder: Option<TempDir>,
     path: PathBuf,
     store: Store,
@@ -81,12 +81,20 @@ impl Temporary {
         })
     }
 
-    fn path(&self) -> &Path {
+    /// A temporary folder with the lock that shows others that its writer runs. It is removed if the process is interrupted.
+    pub(crate) fn held(store: &Store, name: &str) -> Result<(Self, Option<File>), ArtifactError> {
+        let temporary = Self::new(store, name)?;
+        let lock = hold(temporary.path());
+        locked(&OWN).insert(temporary.path().to_path_buf());
+        Ok((temporary, lock))
+    }
+
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
     /// To be called after the folder was renamed, so that nothing is at its path.
-    fn published(mut self) {
+    pub(crate) fn published(mut self) {
         let _ = self.folder.take().map(TempDir::keep);
     }
 }
@@ -143,9 +151,7 @@ impl Writer {
     }
 
     fn into(store: &Store, recipe: &Recipe, folder: PathBuf, part: Option<Part>) -> Result<Self, ArtifactError> {
-        let temporary = Temporary::new(store, &recipe.key().short())?;
-        let lock = hold(temporary.path());
-        locked(&OWN).insert(temporary.path().to_path_buf());
+        let (temporary, lock) = Temporary::held(store, &recipe.key().short())?;
         Ok(Self {
             store: store.clone(),
             recipe: recipe.clone(),
@@ -247,7 +253,8 @@ impl Writer {
     ///
     /// # Errors
     /// [`ArtifactError::Unfinished`] if a table was started but not finished, [`ArtifactError::Io`] if a file cannot be written,
-    /// [`ArtifactError::NotReproducible`] if another run published other bytes under the same key.
+    /// [`ArtifactError::NotReproducible`] if another run published other bytes under the same key, [`ArtifactError::Remote`] if an
+    /// object store is not reached.
     pub fn publish(self, summary: ArtifactSummary) -> Result<Artifact, ArtifactError> {
         let mut tables = BTreeMap::new();
         for (&name, table) in &*locked(&self.tables) {
@@ -269,7 +276,11 @@ impl Writer {
                 file.sync_all()
             })
             .map_err(ArtifactError::io("write", &path))?;
-        self.move_to_final_folder(&manifest)
+        let store = self.store.clone();
+        let artifact = self.move_to_final_folder(&manifest)?;
+        // Not under the right to publish, which an interrupt waits for.
+        store.push(artifact.path(), manifest.name())?;
+        Ok(artifact)
     }
 
     fn move_to_final_folder(self, ours: &Manifest) -> Result<Artifact, ArtifactError> {
@@ -283,9 +294,10 @@ impl Writer {
             ..
         } = self;
         let _publication = Publication::wait();
+        // In the folder of the store alone, because an interrupt waits for the right to publish.
         let published = || match part {
-            Some(part) => store.part(&recipe, part),
-            None => store.lookup(recipe.stage(), &recipe.key()),
+            Some(part) => store.part_here(&recipe, part),
+            None => store.lookup_here(recipe.stage(), &recipe.key()),
         };
         if let Some(theirs) = published()? {
             return same_bytes(theirs, ours);

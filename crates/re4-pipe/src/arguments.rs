@@ -1,5 +1,7 @@
 //! The arguments of the command line.
 
+mod addresses;
+mod common;
 mod curate;
 mod export;
 mod plan;
@@ -105,46 +107,16 @@ pub(crate) enum Command {
     IngestWorker,
 }
 
-impl Command {
-    /// The options that all commands have, except for the worker, which only the program itself starts.
-    pub(crate) fn common(&self) -> Option<&Common> {
-        match self {
-            Self::Ingest(stage)
-            | Self::Segment(stage)
-            | Self::TrainPose(stage)
-            | Self::Train(TrainArguments { stage, .. })
-            | Self::Index(stage)
-            | Self::Scenes(stage)
-            | Self::Audit(AuditArguments { stage, .. })
-            | Self::Replay(ReplayArguments { stage, .. }) => Some(&stage.common),
-            Self::Rollout(rollout) | Self::Run(rollout) => Some(&rollout.stage.common),
-            Self::Influence(InfluenceArguments { stage, .. }) | Self::Curate(CurateArguments { stage, .. }) => {
-                Some(&stage.common)
-            }
-            Self::Merge(MergeArguments { stage, .. }) | Self::Plan(PlanArguments { stage, .. }) => Some(&stage.common),
-            Self::Status(StatusArguments { common, .. })
-            | Self::Compare(CompareArguments { common, .. })
-            | Self::Video(VideoArguments { common, .. })
-            | Self::Verify(VerifyArguments { common, .. })
-            | Self::Inspect(InspectArguments { common, .. })
-            | Self::Report(ReportArguments { common, .. })
-            | Self::Export(ExportArguments { common, .. })
-            | Self::Fetch(FetchArguments { common, .. })
-            | Self::Doctor(DoctorArguments { common, .. })
-            | Self::Schemas(SchemasArguments { common, .. })
-            | Self::Reference(ReferenceArguments { common, .. }) => Some(common),
-            #[cfg(feature = "query")]
-            Self::Query(QueryArguments { common, .. }) => Some(common),
-            Self::IngestWorker => None,
-        }
-    }
-}
-
 /// Options of all commands.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct Common {
-    /// Folder of the artifacts
-    #[arg(long, value_name = "DIR", default_value = "artifacts")]
+    /// Folder of the artifacts.
+    #[arg(
+        long,
+        value_name = "DIR",
+        default_value = "artifacts",
+        help = "Folder of the artifacts, or the address of an object store: s3://, gs:// or az://BUCKET/FOLDER"
+    )]
     pub(crate) artifacts: PathBuf,
     /// Number of worker threads; results do not depend on it [default: one per processor]
     #[arg(long, value_name = "N", value_parser = jobs)]

@@ -22,7 +22,7 @@ const PARTS_MISSING: u8 = 3;
 
 /// Parses the command line, runs the command, prints errors and returns the exit code.
 fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
+    let mut arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) if is_help(&error) => error.exit(),
         Err(error) => {
@@ -35,6 +35,10 @@ fn main() -> ExitCode {
         log::start(arguments.verbose);
     }
     let json = arguments.command.common().is_some_and(|common| common.json);
+    if let Err(error) = arguments.command.use_local_folders() {
+        console::print_error(&error, json);
+        return ExitCode::from(2);
+    }
     let outcome = match arguments.command {
         Command::Ingest(arguments) => commands::run::ingest(&arguments),
         Command::Segment(arguments) => commands::run::segment(&arguments),

@@ -3,6 +3,7 @@
 //! A [`Runner`] holds a pipeline and has one method per stage. Stages exchange data only through artifacts: readers that more
 //! than one stage uses are in `inputs`, and no stage imports another.
 
+mod addresses;
 mod doctor;
 #[doc(hidden)]
 pub mod fuzzing;
@@ -22,6 +23,7 @@ pub mod tables;
 #[doc(hidden)]
 pub mod testing;
 
+pub use addresses::{address_of, is_address, local_artifact, local_artifacts, local_store};
 pub use doctor::{Finding, State, doctor};
 pub use hashes::HashedFile;
 pub use inputs::simulators::TaskScene;

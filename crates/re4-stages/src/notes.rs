@@ -120,5 +120,7 @@ fn remedy_of<'a>(error: &'a (dyn Error + 'static)) -> Option<Cow<'a, str>> {
         crate::parts::Partly,
         crate::stages::WorkerCrashed,
     );
+    #[cfg(feature = "object-store")]
+    first!(re4_object::AddressError);
     None
 }

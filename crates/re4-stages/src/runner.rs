@@ -15,6 +15,7 @@ use serde_json::{Map, Value, json};
 use tracing::{debug, info, info_span};
 
 use crate::hashes::{HashedFile, Hashes};
+use crate::addresses::local_store;
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
 use crate::parts::{Parting, Share};
@@ -64,7 +65,8 @@ impl Session {
     /// Sets up threads and opens the store. To be called once per process.
     ///
     /// # Errors
-    /// If the threads cannot be started, or the artifacts folder cannot be created or opened.
+    /// If the threads cannot be started, or the artifacts folder cannot be created or opened; `artifacts` can also be the address of an
+    /// object store.
     pub fn open(artifacts: &Path, jobs: Option<NonZeroUsize>, notes: Notes) -> Result<Self> {
         if let Some(jobs) = jobs {
             rayon::ThreadPoolBuilder::new()
@@ -72,6 +74,7 @@ impl Session {
                 .build_global()
                 .or_fault(|| fault!("cannot start {jobs} worker threads"; "give a smaller --jobs"))?;
         }
+        let artifacts = &*local_store(artifacts)?;
         if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
             bail!(
                 "cannot keep artifacts in {}: {} is a file", artifacts.display(), file.display();

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 use re4_artifact::Stage;
 use re4_fault::{OrFault as _, ensure, fault};
-use re4_stages::{HashedFile, Notes, PlannedStage, Runner, Settings, Share};
+use re4_stages::{HashedFile, Notes, PlannedStage, Runner, Settings, Share, address_of};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -156,8 +156,8 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
         format: FORMAT,
         directory: std::env::current_dir().context("cannot find the current folder")?,
         pipeline: arguments.stage.pipeline.clone(),
-        artifacts: arguments.stage.common.artifacts.clone(),
         sources: runner.hashed(),
+        artifacts: address_of(&arguments.stage.common.artifacts),
         overrides: runner_overrides(arguments),
         shards,
         groups,
@@ -199,7 +199,7 @@ impl GroupWriter<'_> {
             cpus: self.arguments.cpus.get(),
             memory_mb: memory_mb(self.planned.stage),
             gpus: 0,
-            outputs: self.planned.artifact.iter().cloned().collect(),
+            outputs: self.planned.artifact.iter().map(|path| address_of(path)).collect(),
             command,
         }
     }
@@ -215,7 +215,7 @@ impl GroupWriter<'_> {
         let mut command = vec![path(&program)?];
         command.extend(words.iter().map(|&word| word.to_owned()));
         command.push(path(pipeline)?);
-        command.extend(["--artifacts".to_owned(), path(&common.artifacts)?]);
+        command.extend(["--artifacts".to_owned(), path(&address_of(&common.artifacts))?]);
         command.extend([
             "--jobs".to_owned(),
             self.arguments.cpus.to_string(),

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use re4_artifact::{Artifact, Key, MANIFEST_NAME, Row, Stage};
+use re4_artifact::{Artifact, Key, MANIFEST_NAME, Row, Stage, fetch};
 use re4_policy::kinds::Kinds;
 use re4_rollout::SpaceResultRow;
 use serde::de::DeserializeOwned;
@@ -52,8 +52,9 @@ pub fn find_input(made: &Artifact, stage: Stage, store: &Path) -> Result<Option<
     let own_root = std::fs::canonicalize(made.path())
         .ok()
         .and_then(|path| path.ancestors().nth(2).map(Path::to_path_buf));
-    let folders = own_root.into_iter().chain([store.to_path_buf()]);
-    for folder in folders.map(|root| root.join(stage.artifact()).join(key.short())) {
+    for root in own_root.into_iter().chain([store.to_path_buf()]) {
+        fetch(&root, stage, key)?;
+        let folder = root.join(stage.artifact()).join(key.short());
         if !folder.join(MANIFEST_NAME).exists() {
             continue;
         }

@@ -19,6 +19,7 @@ use super::spool::Spool;
 use super::worker::{self, Format, Hdf5, Message, Request};
 use super::write::{Images, Ingest};
 use super::{STAGE, recipe};
+use crate::addresses::address_of;
 use crate::inputs::sources::find_source;
 use crate::interrupt::Interrupt;
 use crate::pipeline::Pipeline;
@@ -51,6 +52,7 @@ impl Runner {
             source,
             pipeline: self.pipeline.clone(),
             artifacts: self.store.root().to_path_buf(),
+            address: address_of(self.store.root()),
             threads: rayon::current_num_threads(),
             share: self.share,
             cautious: false,

@@ -16,6 +16,7 @@ use serde_json::{Value, json};
 use super::STAGE;
 use super::worker::{self, Format, Message, Request};
 use super::write::{Images, Ingest};
+use crate::addresses::address_of;
 use crate::interrupt::Interrupt;
 use crate::pipeline::Pipeline;
 use crate::runner::{Built, Runner};
@@ -36,6 +37,7 @@ impl Runner {
             source,
             pipeline: self.pipeline.clone(),
             artifacts: self.store.root().to_path_buf(),
+            address: address_of(self.store.root()),
             threads: rayon::current_num_threads(),
             share: self.share,
             cautious: false,

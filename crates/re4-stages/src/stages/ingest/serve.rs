@@ -10,6 +10,7 @@ use re4_fault::{OrFault as _, fault};
 
 use super::worker::{self, Format, Message, Work, send};
 use super::{describe, hdf5, helper, lerobot};
+use crate::addresses::local_store;
 use crate::interrupt::Interrupt;
 use crate::notes::fault_of;
 use crate::parts::Partly;
@@ -45,7 +46,11 @@ pub fn serve_ingest() -> Result<()> {
     let _ = setrlimit(Resource::RLIMIT_DATA, memory, memory);
     let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
     let store = match &work {
-        Work::Ingest(request) => Some(Store::open(&request.artifacts)?),
+        Work::Ingest(request) => {
+            // Connects this process with the object store of which the folder is the cache.
+            local_store(&request.address)?;
+            Some(Store::open(&request.artifacts)?)
+        }
         _ => None,
     };
     let interrupt = Interrupt::listen_with_report(store.as_ref(), |fault| send(&Message::failed(&fault)));

@@ -96,6 +96,8 @@ pub(crate) struct Request {
     pub(crate) gl: Option<String>,
     /// The artifacts folder.
     pub(crate) artifacts: PathBuf,
+    /// Address of the object store of which the folder is the cache; without an object store, the folder.
+    pub(crate) address: PathBuf,
     /// Number of threads.
     pub(crate) threads: usize,
     /// What to make of an artifact in parts.
