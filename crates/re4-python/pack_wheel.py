@@ -1,9 +1,10 @@
-"""Packs the Python package, the extension module and the native command into a wheel. Needs only Python 3.11's standard library.
+"""Packs the Python package, the extension module and the native command into a wheel. Needs only Python 3.11's standard library; with
+the package zopfli, the wheel is smaller.
 
     python3 pack_wheel.py COMMAND EXTENSION FOLDER [NOTICES]
 
 COMMAND is the program re4-pipe and EXTENSION the library libre4_python.so; both should be stripped. NOTICES has the licences of the
-software that they contain. The path of the wheel is printed. The same files give the same bytes.
+software that they contain. The path of the wheel is printed. The same files and the same compressor give the same bytes.
 
 The command and the extension are built by one call of cargo, so that they share the dependencies. A build tool for extension
 modules would compile them a second time, with other features.
@@ -12,8 +13,9 @@ modules would compile them a second time, with other features.
 import base64
 import hashlib
 import re
+import struct
 import sys
-import zipfile
+import zlib
 from pathlib import Path
 
 import tomllib
@@ -52,9 +54,22 @@ def metadata(project: dict) -> str:
     return "\n".join(lines) + "\n\n" + (HERE / project["readme"]).read_text()
 
 
+def deflated(content: bytes) -> bytes:
+    """The content as a stream of deflate, without header and checksum."""
+    try:
+        from zopfli.zopfli import compress
+    except ImportError:
+        return zlib.compress(content, 9)[2:-4]
+    # More iterations make it only 0.2 % smaller.
+    return compress(content, numiterations=1)[2:-4]
+
+
 class Wheel:
+    """A zip file. The module zipfile of Python has no choice of compressors."""
+
     def __init__(self, path: Path) -> None:
-        self.zip = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9)
+        self.file = path.open("wb")
+        self.directory: list[bytes] = []
         self.record: list[str] = []
 
     def add(self, name: str, content: bytes, mode: int = 0o644) -> None:
@@ -63,11 +78,23 @@ class Wheel:
         self.write(name, content, mode)
 
     def write(self, name: str, content: bytes, mode: int) -> None:
-        # A fixed time, so that the same files give the same wheel.
-        entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-        entry.external_attr = (0o100000 | mode) << 16
-        entry.compress_type = zipfile.ZIP_DEFLATED
-        self.zip.writestr(entry, content)
+        offset = self.file.tell()
+        data = deflated(content)
+        path = name.encode("ascii")
+        # Version 2.0, no flags, deflate, and a fixed time (1980-01-01), so that the same files give the same wheel.
+        common = struct.pack("<5H3I2H", 20, 0, 8, 0, 0x21, zlib.crc32(content), len(data), len(content), len(path), 0)
+        self.file.write(b"PK\x03\x04" + common + path + data)
+        # Written on Unix: the upper half of the attributes is the mode of a regular file.
+        rest = struct.pack("<3H2I", 0, 0, 0, (0o100000 | mode) << 16, offset)
+        self.directory.append(b"PK\x01\x02" + struct.pack("<H", 3 << 8 | 20) + common + rest + path)
+
+    def close(self) -> None:
+        offset = self.file.tell()
+        directory = b"".join(self.directory)
+        count = len(self.directory)
+        end = struct.pack("<4H2IH", 0, 0, count, count, len(directory), offset, 0)
+        self.file.write(directory + b"PK\x05\x06" + end)
+        self.file.close()
 
 
 def main() -> None:
@@ -97,7 +124,7 @@ def main() -> None:
     for file in notices:
         wheel.add(f"{info}/licenses/THIRD-PARTY.txt", file.read_bytes())
     wheel.write(f"{info}/RECORD", "\n".join([*wheel.record, f"{info}/RECORD,,", ""]).encode(), 0o644)
-    wheel.zip.close()
+    wheel.close()
     part.replace(path)
     print(path)
 

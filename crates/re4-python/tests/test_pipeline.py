@@ -2,9 +2,11 @@
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -83,6 +85,30 @@ def test_an_interrupt_ends_the_command_and_leaves_no_unfinished_artifact(demo: r
     assert not (tmp_path / "rollouts").exists()
     assert not (tmp_path / ".unfinished").exists()
     assert len(list((tmp_path / "index").iterdir())) == 1
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_command_is_an_interrupt(
+    demo: re4_pipe.Pipeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sent: signal.Signals
+) -> None:
+    children: list[subprocess.Popen[str]] = []
+    start = subprocess.Popen
+
+    def popen(*arguments: Any, **settings: Any) -> subprocess.Popen[str]:
+        children.append(start(*arguments, **settings))
+        return children[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+
+    def progress(line: str) -> None:
+        if line.split()[0] == "index":
+            children[0].send_signal(sent)
+
+    pipeline = re4_pipe.Pipeline(demo.path, artifacts=tmp_path, jobs=1)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.run("rollout", set={"rollout.seeds": "200500..210000"}, progress=progress)
+    assert children[0].returncode == 75
+    assert not (tmp_path / "rollouts").exists()
 
 
 def test_an_error_of_the_callback_ends_the_command(demo: re4_pipe.Pipeline, tmp_path: Path) -> None:

@@ -19,6 +19,9 @@ from ._errors import Re4Error
 
 STAGES = ("ingest", "segment", "audit", "train-pose", "index", "train", "scenes", "rollout", "run", "replay")
 
+# Exit code of the command after Ctrl-C or SIGTERM. It ends by the signal itself only if this arrives before the command listens.
+INTERRUPTED = 75
+
 
 @dataclass(frozen=True)
 class Result:
@@ -97,7 +100,8 @@ class Pipeline:
     ) -> Result:
         """Runs a stage, and the stages before it whose artifacts do not exist.
 
-        An interrupt (Ctrl-C, or the interrupt of a notebook) ends the stage; no unfinished artifact remains.
+        An interrupt (Ctrl-C, or the interrupt of a notebook) ends the stage; no unfinished artifact remains. So does a signal that
+        another program sends to the command.
 
         Args:
             stage: A stage: ``ingest``, ``segment``, ``audit``, ``train-pose``, ``index``, ``train``, ``scenes``, ``rollout``,
@@ -181,7 +185,7 @@ def _communicate(call: Sequence[str], progress: Callable[[str], object] | None) 
     except BaseException:
         _stop(child)
         raise
-    if code == 128 + signal.SIGINT or code == -signal.SIGINT:
+    if code in (INTERRUPTED, -signal.SIGINT, -signal.SIGTERM):
         raise KeyboardInterrupt
     return code, "".join(output), notes
 
