@@ -16,11 +16,14 @@
 //! the minimum `d_o` of its demonstration. Stage 1 is evaluated exactly for the demonstration that is nearest by `d_o`, then for
 //! every other demonstration that has a frame within the best `d_o` found so far.
 //!
+//! [`Partitioned`] gives the same answers over parts that hold some of the demonstrations each.
+//!
 //! The items named `Spatial...` implement the same lookup in SE(3) for a robot arm and one object. [`SpatialMetric`] defines
 //! their distances.
 
 mod linear;
 mod metric;
+mod partitioned;
 mod search;
 mod spatial;
 mod tables;
@@ -29,6 +32,7 @@ pub mod trim;
 
 pub use linear::retrieve_linear;
 pub use metric::{AngleMetric, Normalization, Range};
+pub use partitioned::{Candidate, Partitioned};
 use re4_fault::Remedy;
 pub use search::{RetrievalIndex, SearchStatistics};
 pub use spatial::{

@@ -29,6 +29,23 @@ pub struct Range {
 }
 
 impl Range {
+    /// The range of no values.
+    const EMPTY: Self = Self {
+        minimum: f64::INFINITY,
+        maximum: f64::NEG_INFINITY,
+    };
+
+    /// The range of the values of both. Of 0 and -0, the latter is less; `f64::min` returns either, so that the result would depend on
+    /// the order. Bounds that are NaN are ignored.
+    fn including(self, other: Self) -> Self {
+        let less = other.minimum.total_cmp(&self.minimum).is_lt() && !other.minimum.is_nan();
+        let more = other.maximum.total_cmp(&self.maximum).is_gt() && !other.maximum.is_nan();
+        Self {
+            minimum: if less { other.minimum } else { self.minimum },
+            maximum: if more { other.maximum } else { self.maximum },
+        }
+    }
+
     /// Length of the range. Returns 1 for a dimension that does not vary, so that such a dimension contributes its unscaled
     /// difference.
     pub fn span(self) -> f64 {
@@ -55,17 +72,25 @@ impl Normalization {
 
     /// Computes the ranges over `frames`. Angles are first wrapped into `[0, 2π)`.
     pub fn over(frames: &[IndexedFrame], angle: AngleMetric) -> Self {
-        let mut ranges = [Range {
-            minimum: f64::INFINITY,
-            maximum: f64::NEG_INFINITY,
-        }; 5];
+        let mut ranges = [Range::EMPTY; 5];
         for frame in frames {
             for (range, value) in ranges.iter_mut().zip(raw(frame.eef.x, frame.eef.y, frame.object)) {
-                range.minimum = range.minimum.min(value);
-                range.maximum = range.maximum.max(value);
+                *range = range.including(Range {
+                    minimum: value,
+                    maximum: value,
+                });
             }
         }
         Self { ranges, angle }
+    }
+
+    /// The normalisation of all frames, from those of several sets of frames with the same angle metric. `None` if there is no set. Bit
+    /// for bit the same as [`Self::over`] all frames, in whichever order they are.
+    pub fn merged(parts: impl IntoIterator<Item = Self>) -> Option<Self> {
+        parts.into_iter().reduce(|all, part| Self {
+            ranges: std::array::from_fn(|i| all.ranges[i].including(part.ranges[i])),
+            angle: all.angle,
+        })
     }
 
     fn apply(&self, values: [f64; 5]) -> [f64; 5] {

@@ -7,7 +7,7 @@ use re4_episode::Mode;
 
 use crate::metric::{admissible_squared, in_bounds, object_squared, state_squared};
 use crate::tree::{FAN, Pose, PoseTree};
-use crate::{AngleMetric, IndexError, IndexedFrame, Normalization, Query, Retrieved};
+use crate::{AngleMetric, Candidate, IndexError, IndexedFrame, Normalization, Query, Retrieved};
 
 /// Index for Retrieve over the frames of a set of demonstrations.
 ///
@@ -120,6 +120,20 @@ impl RetrievalIndex {
         epsilon: f64,
         without: &BTreeSet<u32>,
     ) -> Result<Option<Retrieved>, IndexError> {
+        Ok(self.candidate(query, epsilon, without)?.map(|found| found.retrieved))
+    }
+
+    /// The answer of [`Self::retrieve_without`], for [`Candidate::least`] over the answers of several indices, which must have the same
+    /// normalisation. Indices that do not fit in memory together can be loaded and asked one after the other.
+    ///
+    /// # Errors
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
+    pub fn candidate(
+        &self,
+        query: &Query,
+        epsilon: f64,
+        without: &BTreeSet<u32>,
+    ) -> Result<Option<Candidate<Retrieved>>, IndexError> {
         Ok(self.search(query, epsilon, without)?.0)
     }
 
@@ -132,7 +146,8 @@ impl RetrievalIndex {
         query: &Query,
         epsilon: f64,
     ) -> Result<(Option<Retrieved>, SearchStatistics), IndexError> {
-        self.search(query, epsilon, &BTreeSet::new())
+        let (found, statistics) = self.search(query, epsilon, &BTreeSet::new())?;
+        Ok((found.map(|found| found.retrieved), statistics))
     }
 
     fn search(
@@ -140,7 +155,7 @@ impl RetrievalIndex {
         query: &Query,
         epsilon: f64,
         without: &BTreeSet<u32>,
-    ) -> Result<(Option<Retrieved>, SearchStatistics), IndexError> {
+    ) -> Result<(Option<Candidate<Retrieved>>, SearchStatistics), IndexError> {
         let q = self.normalization.query(query);
         if !in_bounds(&q) {
             return Err(IndexError::QueryNotFinite);
@@ -159,7 +174,13 @@ impl RetrievalIndex {
             d_q: best.state_squared.sqrt(),
             d_o: best.object_squared.sqrt(),
         };
-        Ok((Some(retrieved), statistics))
+        let candidate = Candidate {
+            retrieved,
+            banned: false,
+            key: best.object_squared,
+            episode: frame.episode,
+        };
+        Ok((Some(candidate), statistics))
     }
 }
 

@@ -9,7 +9,7 @@ use re4_episode::Mode;
 use crate::spatial::metric::{Measure, State};
 use crate::spatial::tree::RegionTree;
 use crate::spatial::{IndexedSpatialFrame, SpatialDistances, SpatialMetric, SpatialQuery, SpatialRetrieved, Stage2};
-use crate::{IndexError, SearchStatistics};
+use crate::{Candidate, IndexError, SearchStatistics};
 
 /// Index for Retrieve over the frames of a set of demonstrations in SE(3).
 ///
@@ -102,7 +102,29 @@ impl SpatialIndex {
         banned: &BTreeSet<u32>,
         without: &BTreeSet<u32>,
     ) -> Result<Option<SpatialRetrieved>, IndexError> {
-        Ok(self.search(query, stage2, banned, without)?.0)
+        let found = self.candidate(query, stage2, banned, without)?;
+        Ok(found.map(|found| found.retrieved))
+    }
+
+    /// The answer of [`Self::retrieve_without`], for [`Candidate::least`] over the answers of several indices, which must have the same
+    /// metric. Indices that do not fit in memory together can be loaded and asked one after the other.
+    ///
+    /// # Errors
+    /// [`IndexError::QueryNotFinite`] if a coordinate of the query is not finite or is too large.
+    pub fn candidate(
+        &self,
+        query: &SpatialQuery,
+        stage2: Stage2,
+        banned: &BTreeSet<u32>,
+        without: &BTreeSet<u32>,
+    ) -> Result<Option<Candidate<SpatialRetrieved>>, IndexError> {
+        let (found, _) = self.search(query, stage2, banned, without)?;
+        Ok(found.map(|found| Candidate {
+            retrieved: found,
+            banned: banned.contains(&found.episode),
+            key: Measure::key(stage2, &found.distances),
+            episode: found.episode,
+        }))
     }
 
     /// Performs the lookup of [`Self::retrieve`] and also returns its cost.
