@@ -222,14 +222,13 @@ fn a_plan_lists_the_tasks_and_what_is_missing() {
                 .collect();
             let output = Command::new(&words[0])
                 .args(&words[1..])
+                .args(["--plan", "plan.json", "-v"])
                 .current_dir(place.path())
                 .output()
                 .unwrap();
-            assert!(
-                output.status.success(),
-                "{words:?}: {}",
-                String::from_utf8_lossy(&output.stderr)
-            );
+            let log = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{words:?}: {log}");
+            assert!(log.contains("hash of the source is known"), "{words:?}: {log}");
         }
     }
     let missing = plan(&["--missing"]);

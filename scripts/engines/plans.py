@@ -57,7 +57,12 @@ def arguments(engine, about, more):
     logs = options.logs or "re4-logs/{}-{}-{}".format(engine, time.strftime("%Y%m%d-%H%M%S"), os.getpid())
     plan["logs"] = os.path.join(plan["directory"], logs)
     os.makedirs(plan["logs"], exist_ok=True)
-    with open(os.path.join(plan["logs"], "plan.json"), "w") as file:
+    path = os.path.join(plan["logs"], "plan.json")
+    for group in plan["groups"]:
+        # So that no task hashes the dataset again.
+        if plan.get("sources") and "--plan" not in group["command"]:
+            group["command"] += ["--plan", path]
+    with open(path, "w") as file:
         json.dump(plan, file, indent=1)
     return options, plan
 

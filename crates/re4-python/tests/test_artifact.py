@@ -24,6 +24,18 @@ def test_tables_are_the_same_in_every_library(rollouts: re4_pipe.Artifact) -> No
     assert results["seed"].tolist() == [200500, 200501, 200502]
 
 
+def test_an_artifact_in_parts_is_one_table(tmp_path: Path) -> None:
+    settings = {"rollout.seeds": "300000..301030", "rollout.max_steps": 2}
+    path = Path(__file__).resolve().parents[3] / "pipelines/demo.toml"
+    many = re4_pipe.Pipeline(path, artifacts=tmp_path, set=settings).run("rollout").artifact
+    assert [path.parent.name for path in many["results"].paths] == ["000000", "000001"]
+    results = many.polars("results", ["episode", "seed"])
+    assert results["episode"].to_list() == list(range(1030))
+    assert results.equals(polars.from_arrow(many.arrow("results", ["episode", "seed"])))
+    assert many.pandas("results", ["seed"])["seed"].tolist() == list(range(300000, 301030))
+    assert len(many.pandas("steps")) == many["steps"].rows
+
+
 def test_arrow_fields_have_units_and_descriptions(rollouts: re4_pipe.Artifact) -> None:
     field = rollouts.arrow("steps").schema.field("eef_x")
     assert field.metadata[b"unit"] == b"px"

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Result;
 use re4_artifact::Key;
@@ -40,22 +40,22 @@ impl Hashes {
         files.values().cloned().collect()
     }
 
+    /// The known hash of a file that has not changed.
+    pub(crate) fn known(&self, path: &Path) -> Option<Key> {
+        let path = absolute(path);
+        let found = self.files().get(&path).cloned();
+        let file = found.filter(|file| Some((file.bytes, file.modified_ns)) == state(&path))?;
+        tracing::info!(path = %path.display(), "hash of the source is known");
+        Some(file.blake3)
+    }
+
     /// The known hash of a file, or that which `hash` computes.
     pub(crate) fn get(&self, path: &Path, hash: impl FnOnce() -> Result<Key>) -> Result<Key> {
-        let known = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // The file may be named by another path on another machine or from another folder.
-        let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        let state = |path: &Path| {
-            fs::metadata(path)
-                .ok()
-                .map(|of| (of.len(), of.mtime() * 1_000_000_000 + of.mtime_nsec()))
-        };
-        let before = state(&path);
-        let found = known().get(&path).cloned();
-        if let Some(file) = found.filter(|file| Some((file.bytes, file.modified_ns)) == before) {
-            tracing::info!(path = %path.display(), "hash of the source is known");
-            return Ok(file.blake3);
+        if let Some(known) = self.known(path) {
+            return Ok(known);
         }
+        let path = absolute(path);
+        let before = state(&path);
         let blake3 = hash()?;
         if let Some((bytes, modified_ns)) = before.filter(|_| before == state(&path)) {
             let file = HashedFile {
@@ -64,10 +64,25 @@ impl Hashes {
                 modified_ns,
                 blake3,
             };
-            known().insert(path, file);
+            self.files().insert(path, file);
         }
         Ok(blake3)
     }
+
+    fn files(&self) -> MutexGuard<'_, BTreeMap<PathBuf, HashedFile>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The path by which a file is known. It may be named by another one from another folder.
+fn absolute(path: &Path) -> PathBuf {
+    fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// Length and time of the last change of a file in nanoseconds.
+fn state(path: &Path) -> Option<(u64, i64)> {
+    let of = fs::metadata(path).ok()?;
+    Some((of.len(), of.mtime() * 1_000_000_000 + of.mtime_nsec()))
 }
 
 #[cfg(test)]

@@ -14,8 +14,8 @@ use re4_ingest::{IngestError, Stop};
 use serde_json::{Map, Value, json};
 use tracing::{debug, info, info_span};
 
-use crate::hashes::{HashedFile, Hashes};
 use crate::addresses::local_store;
+use crate::hashes::{HashedFile, Hashes};
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
 use crate::parts::{Parting, Share};
@@ -226,6 +226,11 @@ impl Session {
     /// The hash of a file that was computed before, or else by `hash`.
     pub(crate) fn hashed_before(&self, path: &Path, hash: impl FnOnce() -> Result<Key>) -> Result<Key> {
         self.hashes.get(path, hash)
+    }
+
+    /// The hash of a file, if it was computed before and the file has not changed.
+    pub(crate) fn known_hash(&self, path: &Path) -> Option<Key> {
+        self.hashes.known(path)
     }
 
     /// The files that were hashed so far, and those whose hashes were given.

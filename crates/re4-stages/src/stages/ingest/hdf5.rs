@@ -57,6 +57,18 @@ impl Runner {
             share: self.share,
             cautious: false,
         };
+        // If the hash is known, an existing artifact is found without opening the file.
+        if compare_sources.is_none()
+            && !sources.has_models_folder()
+            && let Some(known) = self.known_hash(sources.path())
+        {
+            request.hash = Some(known);
+            if let Some(built) = self.unchanged(&request.recipe(Value::Null)?, start)? {
+                self.refuse_left_out(&built.artifact, &request.source)?;
+                return Ok(built);
+            }
+            request.hash = None;
+        }
         let hash = |sources: &Sources| {
             let hash = || self.hash(|stop| sources.hash(stop), STAGE);
             if sources.has_models_folder() {
