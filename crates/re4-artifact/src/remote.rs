@@ -227,9 +227,10 @@ impl Store {
         if manifest.parts.is_some() {
             each(&parts_of(&manifest), |part| {
                 let file = format!("{PARTS}/{part}/{PART_MANIFEST_NAME}");
-                match self.pull(&folder.join(PARTS).join(part), PART_MANIFEST_NAME)? {
-                    true => Ok(()),
-                    false => Err(ArtifactError::damaged(&shown, Damage::Missing { file })),
+                if self.pull(&folder.join(PARTS).join(part), PART_MANIFEST_NAME)? {
+                    Ok(())
+                } else {
+                    Err(ArtifactError::damaged(&shown, Damage::Missing { file }))
                 }
             })?;
             // After the parts, so that the manifest is not there without them.

@@ -299,7 +299,8 @@ fn a_process_that_was_killed_while_it_uploaded_is_continued() {
         }
         child.kill().unwrap();
         child.wait().unwrap();
-        if count() < 102 {
+        // The server may still create what was sent before the kill, but the manifest was not sent.
+        if count() < 90 {
             killed_in_the_middle += 1;
             let (_other, elsewhere) = machine(moto.objects(&address));
             assert!(elsewhere.lookup(Stage::Index, &recipe().key()).unwrap().is_none());

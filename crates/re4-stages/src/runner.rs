@@ -74,7 +74,8 @@ impl Session {
                 .build_global()
                 .or_fault(|| fault!("cannot start {jobs} worker threads"; "give a smaller --jobs"))?;
         }
-        let artifacts = &*local_store(artifacts)?;
+        let artifacts = local_store(artifacts)?;
+        let artifacts = artifacts.as_path();
         if let Some(file) = artifacts.ancestors().find(|path| path.is_file()) {
             bail!(
                 "cannot keep artifacts in {}: {} is a file", artifacts.display(), file.display();
