@@ -202,13 +202,14 @@ fn inspect_says_what_a_dataset_is() {
         let commands: Vec<&str> = uses.iter().map(|each| each["command"].as_str().unwrap()).collect();
         assert_eq!(commands, ["audit", "segment", "index", "rollout"], "{about}");
         let possible: Vec<bool> = uses.iter().map(|each| each["possible"] == Value::Bool(true)).collect();
-        // The demonstrations of the HDF5 sample have no models; without corners, there is no audit.
+        // The demonstrations of the HDF5 sample have no models; without corners, the audit is that of an arm.
         let expected = match (format, poses) {
             ("hdf5", _) => [true, true, true, false],
-            (_, true) => [true; 4],
-            (_, false) => [false, true, true, true],
+            _ => [true; 4],
         };
         assert_eq!(possible, expected, "{about}");
+        let audit = uses[0]["how"].as_str().unwrap();
+        assert_eq!(audit.starts_with("task = \"arm\", "), !poses, "{about}");
         let refused = place.run_each(&["inspect", path, "--rows", "3"]).refused_at_once();
         assert!(
             refused.contains("it is a dataset, not an artifact; ingest it"),

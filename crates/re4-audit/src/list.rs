@@ -389,7 +389,7 @@ pub const CHECKS: &[Check] = &[
         ..check("non_rigid_rotation", Severity::Note, Applies::Gripper, &[Need::Object])
     },
     Check {
-        meaning: "The object slips in the gripper further than in the other demonstrations, without being lost: transfer is not rigid there, and object poses derived from the end effector are off by this distance.",
+        meaning: "The object moves in the gripper further than in the other demonstrations, without being lost: it slips between the fingers, or something pushes it aside together with them. Transfer is not rigid there, and object poses derived from the end effector are off by this distance.",
         measure: "Largest distance of the end effector, in the object's frame, from the grasp transform, over a held segment, until the object is within 3 cm of its place of release",
         unit: "m",
         basis: Basis::Fence {

@@ -178,7 +178,7 @@ pub(crate) fn check_grasps(demo: &SpatialDemo, grasps: &[JudgedGrasp], limits: &
             ),
             GraspOutcome::Held => {
                 sink.exceeding("non_rigid_transfer", grasp.slip.clone(), grasp.residual, |value| {
-                    format!("the object slips in the gripper by {:.1} mm", 1e3 * value)
+                    format!("the object moves in the gripper by {:.1} mm", 1e3 * value)
                 });
                 sink.exceeding(
                     "non_rigid_rotation",

@@ -84,20 +84,29 @@ pub struct Usual {
 }
 
 impl Usual {
-    /// The medians over the demonstrations whose actions explain most of the motion. `None` if these are too few, or fewer than
-    /// half of all.
-    fn of(observations: &[Observation]) -> Option<Self> {
+    /// The medians over the demonstrations whose actions explain most of the motion, or why there are none: these demonstrations are
+    /// too few, or fewer than half of all.
+    fn of(observations: &[Observation]) -> Result<Self, &'static str> {
         let all = observations
             .iter()
             .filter_map(|observation| observation.response.as_ref());
         let explained: Vec<&ActionFit> = all.clone().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
-        if explained.len() < ENOUGH || 2 * explained.len() <= all.count() {
-            return None;
+        const { assert!(ENOUGH == 8, "the sentence has the number") };
+        let few = "fewer than 8 demonstrations have actions that explain most of their motion";
+        match (explained.len(), all.count()) {
+            (_, 0) => return Err("no actions are known to command the motion, or nothing moves"),
+            (count, _) if count < ENOUGH => return Err(few),
+            (count, all) if 2 * count <= all => {
+                return Err("the actions explain most of the motion in fewer than half of the demonstrations");
+            }
+            _ => {}
         }
         let lags: Vec<f64> = explained.iter().filter_map(|fit| fit.lag).collect();
         let gains: Vec<f64> = explained.iter().map(|fit| fit.gain).collect();
-        let (lag, gain) = (median(&lags)?, median(&gains)?);
-        (gain > 0.0).then_some(Self { lag, gain })
+        match (median(&lags), median(&gains)) {
+            (Some(lag), Some(gain)) if gain > 0.0 => Ok(Self { lag, gain }),
+            _ => Err("the actions do not explain how the motion changes"),
+        }
     }
 }
 
@@ -188,7 +197,7 @@ impl Thresholds {
             }
         }
         let usual_response = Usual::of(observations);
-        if let Some(usual) = usual_response {
+        if let Ok(usual) = usual_response {
             let fits = observations
                 .iter()
                 .filter_map(|observation| observation.response.as_ref());
@@ -209,10 +218,8 @@ impl Thresholds {
                 Some("no demonstration has a reward above 0")
             }
             "outlier_length" if length_deviation == 0.0 => Some("most demonstrations have the same number of frames"),
-            "reversed" | "actions_opposed" | "actions_scaled" | "actions_shifted" | "actions_unrelated"
-                if usual_response.is_none() =>
-            {
-                Some("the actions explain most of the motion in fewer than half of the demonstrations, or in too few")
+            "reversed" | "actions_opposed" | "actions_scaled" | "actions_shifted" | "actions_unrelated" => {
+                usual_response.err()
             }
             _ => None,
         };
@@ -237,7 +244,7 @@ impl Thresholds {
             usual_length: median(&lengths).unwrap_or(0.0),
             length_deviation,
             rewards,
-            usual_response,
+            usual_response: usual_response.ok(),
             top_speed,
             recorded_goals: true,
         }

@@ -61,6 +61,21 @@ impl Description {
         }
     }
 
+    /// Adds that the dataset can only be audited and segmented, as that of an arm without an object. `gripper` states whether the
+    /// gripper is known, `more` further settings that are needed, `missing` why indices and rollouts cannot be made.
+    pub(crate) fn only_as_arm(&mut self, gripper: bool, more: &[String], missing: &str) {
+        let rule = if gripper { "gripper" } else { "always_transit" };
+        let mut settings = vec!["task = \"arm\"".to_owned(), format!("segment.rule = \"{rule}\"")];
+        settings.extend_from_slice(more);
+        let settings = settings.join(", ");
+        self.can(
+            "audit",
+            format!("{settings}; the checks that do not need the pose of an object"),
+        );
+        self.can("segment", settings);
+        self.cannot(&["index", "rollout"], missing);
+    }
+
     /// Adds that nothing can be done.
     pub(crate) fn cannot_be_used(&mut self, missing: &str) {
         self.cannot(&COMMANDS, missing);

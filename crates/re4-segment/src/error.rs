@@ -42,7 +42,7 @@ pub enum SegmentError {
     /// The dataset has neither an opening nor a command of a gripper.
     #[error("cannot segment by the gripper: the dataset has neither its opening nor a command for it")]
     #[remedy(
-        "name the gripper's datasets in the table [ingest.arm], or set segment.rule = \"always_transit\" if the arm has no gripper"
+        "name the gripper in the table [ingest.arm], for LeRobot datasets [ingest.lerobot], or set segment.rule = \"always_transit\" if the arm has no gripper"
     )]
     NothingOfGripper,
     /// The episode has no frames.

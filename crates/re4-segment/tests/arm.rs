@@ -172,7 +172,7 @@ fn what_is_not_proven_is_asked_for() {
             format!("cannot segment by the gripper: which way it closes is not proven by the opening (the command is no target in the unit of the opening); {asked}"),
             format!("cannot segment by the gripper: which way it closes is not proven by the opening (there is no command to compare it with); {asked}"),
             format!("cannot segment by the gripper: which way it closes is not proven by the command (no opening was recorded); {asked}"),
-            "cannot segment by the gripper: the dataset has neither its opening nor a command for it; name the gripper's datasets in the table [ingest.arm], or set segment.rule = \"always_transit\" if the arm has no gripper".to_owned(),
+            "cannot segment by the gripper: the dataset has neither its opening nor a command for it; name the gripper in the table [ingest.arm], for LeRobot datasets [ingest.lerobot], or set segment.rule = \"always_transit\" if the arm has no gripper".to_owned(),
         ]
     );
 }

@@ -120,6 +120,18 @@ impl ArmLayout {
         Ok(layout)
     }
 
+    /// Chooses the elements of the first of several arms; returns its name, too. `None` if no names of elements begin with that of an
+    /// arm, or its elements cannot be chosen.
+    pub(super) fn of_first_arm(info: &Info, keys: &LerobotKeys) -> Option<(String, Self)> {
+        let names = info.features.iter().flat_map(|feature| &feature.names);
+        let arm = names.filter_map(|name| arm_of(name)).min()?;
+        let keys = LerobotKeys {
+            arm: Some(arm.clone()),
+            ..keys.clone()
+        };
+        Some((arm, Self::of(info, &keys).ok()?))
+    }
+
     fn choose_gripper(&mut self, keys: &LerobotKeys) -> Result<(), Fault> {
         let Some(names) = &keys.gripper else {
             let of_role = |(place, element): (usize, &Element)| (element.role == SignalRole::Gripper).then_some(place);

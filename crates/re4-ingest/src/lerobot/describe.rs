@@ -101,7 +101,11 @@ fn pusht(dataset: &Dataset, keys: &LerobotKeys, stop: Stop<'_>, about: &mut Desc
         Ok(read) => read,
         Err(error) if error.fault.ends_reading() => return Err(error),
         Err(error) => {
-            about.cannot_be_used(&error.fault.to_string());
+            let missing = error.fault.to_string();
+            match ArmLayout::of(dataset.info(), keys) {
+                Ok(layout) => about.only_as_arm(layout.has_gripper(), &[], &missing),
+                Err(_) => about.cannot_be_used(&missing),
+            }
             return Ok(());
         }
     };
@@ -127,10 +131,13 @@ fn pusht(dataset: &Dataset, keys: &LerobotKeys, stop: Stop<'_>, about: &mut Desc
         .extend(reading.warnings.iter().map(|warning| warning.message.clone()));
     let poses = reading.episodes.recorded.block;
     let images = !dataset.cameras().is_empty();
-    if poses {
-        about.can("audit", "all checks");
-    } else {
-        about.cannot(&["audit"], "the poses of the block are not recorded");
+    match ArmLayout::of(dataset.info(), keys) {
+        _ if poses => about.can("audit", "all checks"),
+        Ok(layout) if !layout.has_gripper() => about.can(
+            "audit",
+            "task = \"arm\", segment.rule = \"always_transit\"; the checks that do not need the poses of the block, which are not recorded",
+        ),
+        _ => about.cannot(&["audit"], "the poses of the block are not recorded"),
     }
     about.can("segment", "segment.rule = \"always_transit\"");
     let state = "variant = \"state\" and pose.source = \"recorded\"";
@@ -151,28 +158,32 @@ fn pusht(dataset: &Dataset, keys: &LerobotKeys, stop: Stop<'_>, about: &mut Desc
 
 /// What can be done with a dataset of an arm.
 fn arm(dataset: &Dataset, keys: &LerobotKeys, about: &mut Description) {
-    let layout = match ArmLayout::of(dataset.info(), keys) {
-        Ok(layout) => layout,
-        Err(fault) => {
-            about.cannot_be_used(&fault.to_string());
-            return;
-        }
+    let (layout, more) = match ArmLayout::of(dataset.info(), keys) {
+        Ok(layout) => (layout, Vec::new()),
+        Err(fault) => match ArmLayout::of_first_arm(dataset.info(), keys) {
+            Some((arm, layout)) => {
+                about.notes.push(fault.to_string());
+                (layout, vec![format!("ingest.lerobot.arm = \"{arm}\"")])
+            }
+            None => {
+                about.cannot_be_used(&fault.to_string());
+                return;
+            }
+        },
     };
     about.task = Some("arm".to_owned());
     layout.describe(about);
-    about.can("audit", "the checks that do not need the pose of an object");
-    if layout.has_gripper() {
-        about.can("segment", "modes by the gripper");
-    } else {
-        about.cannot(
-            &["segment"],
-            "which element is the gripper is not known by its name; set ingest.lerobot.gripper or ingest.lerobot.gripper_command",
-        );
-    }
-    about.cannot(
-        &["index", "rollout"],
+    about.only_as_arm(
+        layout.has_gripper(),
+        &more,
         "the pose of the object that is moved is not recorded",
     );
+    if !layout.has_gripper() {
+        about.notes.push(
+            "no element has the name of a gripper; if there is one, set ingest.lerobot.gripper or ingest.lerobot.gripper_command, and segment.rule = \"gripper\""
+                .to_owned(),
+        );
+    }
     let count = cameras(dataset.info()).len();
     if count > 0 {
         about.fact("images", format!("{} may be ingested", counted(count, "camera")));

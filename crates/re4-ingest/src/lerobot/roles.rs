@@ -16,7 +16,7 @@ const EEF: [&str; 6] = ["eef", "ee", "tcp", "cartesian", "hand", "effector"];
 const POSITION: [&str; 4] = ["pos", "position", "xyz", "translation"];
 
 /// Words in names of numbers of an orientation.
-const ORIENTATION: [&str; 25] = [
+const ORIENTATION: [&str; 31] = [
     "quat",
     "quaternion",
     "ori",
@@ -40,6 +40,12 @@ const ORIENTATION: [&str; 25] = [
     "qy",
     "qz",
     "qw",
+    "drx",
+    "dry",
+    "drz",
+    "droll",
+    "dpitch",
+    "dyaw",
     "rot6d",
     "rotmat",
 ];
@@ -86,7 +92,8 @@ fn role(words: &[String]) -> SignalRole {
     }
 }
 
-/// Roles of all elements of a vector by their names. Elements x, y and z that occur once each are the position of the end effector.
+/// Roles of all elements of a vector by their names. Elements x, y and z that occur once each are the position of the end effector, and
+/// dx, dy and dz are its displacement.
 pub(super) fn roles(names: &[String]) -> Vec<SignalRole> {
     let words: Vec<Vec<String>> = names.iter().map(|name| words(name)).collect();
     let mut roles: Vec<SignalRole> = words.iter().map(|words| role(words)).collect();
@@ -94,7 +101,11 @@ pub(super) fn roles(names: &[String]) -> Vec<SignalRole> {
         return roles;
     }
     let axis = |letter: &str| {
-        let of_axis = |words: &&Vec<String>| words.last().is_some_and(|word| word == letter);
+        let displacement = format!("d{letter}");
+        let of_axis = |words: &&Vec<String>| {
+            let mut words = words.iter().rev().filter(|word| !EEF.contains(&word.as_str()));
+            words.next().is_some_and(|word| word == letter || *word == displacement)
+        };
         let found: Vec<usize> = words
             .iter()
             .enumerate()
@@ -219,6 +230,8 @@ mod tests {
             "pppooog"
         );
         assert_eq!(of(&["delta_x", "delta_y", "delta_z", "leftJaw"]), "pppg");
+        assert_eq!(of(&["dx", "dy", "dz", "drx", "dry", "drz", "gripper"]), "pppooog");
+        assert_eq!(of(&["delta_x_ee", "delta_y_ee", "delta_z_ee", "gripper_delta"]), "pppg");
         assert_eq!(of(&["motor_0", "motor_1"]), "jj");
         assert_eq!(of(&["action_0", "x", "y"]), "---");
         assert_eq!(of(&["left_finger_joint", "panda_joint1"]), "gj");

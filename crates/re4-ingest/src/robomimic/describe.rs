@@ -2,6 +2,7 @@
 
 use re4_robosuite::conventions::{ActionKind, RobosuiteTask};
 
+use super::arm::ArmSource;
 use super::interpret::{Interpreter, Reading};
 use super::reader::RobomimicReader;
 use crate::demos::Info;
@@ -54,7 +55,11 @@ pub fn describe(reader: &RobomimicReader) -> Result<Description, IngestError> {
         Ok(learned) => learned,
         Err(error) if error.needs_library() || error.fault.ends_reading() => return Err(error),
         Err(error) => {
-            about.cannot_be_used(&error.fault.to_string());
+            let missing = error.fault.to_string();
+            match ArmSource::probe(reader)? {
+                Some((gripper, more)) => about.only_as_arm(gripper, &more, &missing),
+                None => about.cannot_be_used(&missing),
+            }
             return Ok(about);
         }
     };

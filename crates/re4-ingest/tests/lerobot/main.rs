@@ -630,7 +630,17 @@ fn a_description_says_what_can_be_done() {
     let pusht = || "pusht".to_owned();
     assert_eq!(
         possible(&pushes.features()),
-        (pusht(), "-audit +segment -index -rollout".to_owned())
+        (pusht(), "+audit +segment -index -rollout".to_owned())
+    );
+    let how = |features: &[Feature]| {
+        let folder = dataset(10.0, features);
+        let about = describe(folder.path(), &|| false).unwrap();
+        about.uses.into_iter().map(|each| each.how).collect::<Vec<_>>()
+    };
+    // Without poses of the block, the recording can be audited as that of an arm without a gripper.
+    assert_eq!(
+        how(&pushes.features())[0],
+        "task = \"arm\", segment.rule = \"always_transit\"; the checks that do not need the poses of the block, which are not recorded"
     );
     let mut features = pushes.features();
     features.extend([pushes.corners(), pushes.rewards()]);
@@ -645,6 +655,29 @@ fn a_description_says_what_can_be_done() {
     assert_eq!(
         possible(&arm),
         ("arm".to_owned(), "+audit +segment -index -rollout".to_owned())
+    );
+    assert_eq!(how(&arm)[1], "task = \"arm\", segment.rule = \"gripper\"");
+    let no_gripper = [
+        Feature::of("observation.state", json!(["shoulder", "elbow"]), 2, waves(2, 30, 2)),
+        Feature::of("action", json!(["shoulder", "elbow"]), 2, waves(2, 30, 2)),
+    ];
+    assert_eq!(
+        possible(&no_gripper),
+        ("arm".to_owned(), "+audit +segment -index -rollout".to_owned())
+    );
+    assert_eq!(how(&no_gripper)[1], "task = \"arm\", segment.rule = \"always_transit\"");
+    let names = json!(["right_waist", "right_gripper", "left_waist", "left_gripper"]);
+    let two = [
+        Feature::of("observation.state", names.clone(), 4, waves(2, 30, 4)),
+        Feature::of("action", names, 4, waves(2, 30, 4)),
+    ];
+    assert_eq!(
+        possible(&two),
+        ("arm".to_owned(), "+audit +segment -index -rollout".to_owned())
+    );
+    assert_eq!(
+        how(&two)[1],
+        "task = \"arm\", segment.rule = \"gripper\", ingest.lerobot.arm = \"left\""
     );
     let nothing = [Feature::of("observation.state", Value::Null, 3, waves(2, 30, 3))];
     assert_eq!(

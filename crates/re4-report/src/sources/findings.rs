@@ -188,8 +188,15 @@ impl Findings {
         if !skipped.is_empty() {
             write!(text, "\n\n  {} could not be made:", plural(skipped.len(), "check"))?;
         }
+        let mut reasons: Vec<(&str, Vec<&str>)> = Vec::new();
         for (check, why) in skipped {
-            write!(text, "\n    {:<23} {why}", &*check.code)?;
+            match reasons.iter_mut().find(|(known, _)| *known == why) {
+                Some((_, codes)) => codes.push(&check.code),
+                None => reasons.push((why, vec![&check.code])),
+            }
+        }
+        for (why, codes) in reasons {
+            write!(text, "\n    {why}: {}", codes.join(", "))?;
         }
         Ok(())
     }

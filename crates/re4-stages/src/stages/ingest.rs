@@ -24,6 +24,7 @@ use re4_fault::{Fault, OrFault as _, bail, ensure, fault};
 use re4_ingest::lerobot::LerobotSource;
 use re4_ingest::robomimic::RobomimicSource;
 use re4_ingest::{DemoSource as _, LeftOut, OnBad, refusal};
+use re4_task::Task;
 use serde_json::{Value, json};
 
 use crate::inputs::sources::{find_source, left_out};
@@ -38,6 +39,9 @@ pub(crate) use worker::WorkerCrashed;
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 7;
+
+/// The same for the roles of signals, which only datasets of arms have.
+const SIGNALS_VERSION: u32 = 2;
 
 /// Name of the stage in messages about an interruption.
 const STAGE: &str = "ingest";
@@ -147,6 +151,9 @@ fn recipe(pipeline: &Pipeline, hash: &Key, compare: Option<&Key>, render: &Value
             config.remove(place);
         }
         config.insert("task".to_owned(), json!(pipeline.task));
+        if pipeline.task == Task::Arm {
+            config.insert("signals_version".to_owned(), json!(SIGNALS_VERSION));
+        }
         if let Some(compare) = compare {
             config.insert("compare_blake3".to_owned(), json!(compare));
         }

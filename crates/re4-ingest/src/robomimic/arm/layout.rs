@@ -9,11 +9,11 @@ use crate::demos::DemoName;
 use crate::tables::{SignalRole, SignalRow, SignalVector};
 
 /// Names of the datasets below `obs`, without the prefix of an arm. The first one that exists is read. The names are those of
-/// robosuite and robomimic, then those of LIBERO.
+/// robosuite and robomimic, then those of LIBERO and Isaac Lab.
 const JOINTS: &[&str] = &["joint_pos", "joint_states"];
 const EEF_POSITION: &[&str] = &["eef_pos", "ee_pos"];
 const EEF_ORIENTATION: &[&str] = &["eef_quat", "eef_quat_site", "ee_ori", "ee_quat"];
-const GRIPPER: &[&str] = &["gripper_qpos", "gripper_states"];
+const GRIPPER: &[&str] = &["gripper_qpos", "gripper_states", "gripper_pos"];
 
 /// Beginnings of the names of one arm's datasets, in the order in which they are looked for. The last one is that of files with a
 /// single arm that does not name it.
@@ -261,6 +261,13 @@ impl ArmLayout {
 enum Commands {
     Eef,
     Joints,
+}
+
+/// The names of arms that begin the names of their datasets.
+pub(super) fn arms() -> impl Iterator<Item = &'static str> {
+    ARMS.iter()
+        .map(|prefix| prefix.trim_end_matches('_'))
+        .filter(|arm| !arm.is_empty())
 }
 
 /// Beginning of the names of the arm's datasets. Two arms are refused, unless a setting chooses one.

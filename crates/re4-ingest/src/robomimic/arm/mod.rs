@@ -74,6 +74,39 @@ impl ArmSource {
         Ok(source)
     }
 
+    /// Whether an opened file is one of an arm, or of several: whether the gripper of the first is known, and the settings that choose
+    /// it. `None` if it has no arm under known names.
+    ///
+    /// # Errors
+    /// The file needs the HDF5 library but was opened without it.
+    pub(super) fn probe(reader: &RobomimicReader) -> Result<Option<(bool, Vec<String>)>, IngestError> {
+        let of = |config: &ArmConfig| match ArmLayout::of(&reader.file, reader.demos(), config) {
+            Err(fault @ Hdf5Fault::NeedsLibrary) => Err(Fault::from(fault).of(&reader.path)),
+            layout => Ok(layout
+                .ok()
+                .map(|layout| layout.gripper.is_some() || layout.command.is_some())),
+        };
+        if let Some(gripper) = of(&ArmConfig::default())? {
+            return Ok(Some((gripper, Vec::new())));
+        }
+        for arm in layout::arms() {
+            // Which elements of an action are the arm's is not known here.
+            let one = ArmConfig {
+                arm: Some(arm.to_owned()),
+                action_elements: Some([0, 1]),
+                ..ArmConfig::default()
+            };
+            if let Some(gripper) = of(&one)? {
+                let more = [
+                    format!("ingest.arm.arm = \"{arm}\""),
+                    "ingest.arm.action_elements (its part of an action)".to_owned(),
+                ];
+                return Ok(Some((gripper, more.to_vec())));
+            }
+        }
+        Ok(None)
+    }
+
     /// The conventions, each with its evidence.
     pub fn conventions(&self) -> &[Convention] {
         &self.conventions
