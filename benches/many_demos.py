@@ -24,7 +24,7 @@ import time
 import h5py
 import numpy as np
 
-# Numbers are drawn for this many demonstrations at a time.
+# Numbers are sampled for this many demonstrations at a time.
 BLOCK = 1000
 # Frames after which the arm is on its recorded path.
 RAMP = 16
@@ -86,7 +86,7 @@ def read(path, frames):
 
 
 class Numbers:
-    """The random numbers of every demonstration, drawn in blocks."""
+    """The random numbers of every demonstration, sampled in blocks."""
 
     def __init__(self):
         self.block = None

@@ -1,6 +1,6 @@
 //! One index in several parts, for demonstrations that are indexed apart from each other.
 //!
-//! Each part holds some of the demonstrations. Retrieve takes a minimum over demonstrations, so the least of the parts' answers is the
+//! Each part holds some of the demonstrations. Retrieve takes a minimum over demonstrations, so the minimum of the parts' answers is the
 //! answer of one index over all demonstrations, if the parts measure the same distances: a part must not be normalised by the
 //! ranges of its own frames. Answers are compared by the squared distance, as one index compares them: different squares
 //! can have the same root.
