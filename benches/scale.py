@@ -96,7 +96,10 @@ def sharded(program, folder, artifacts, data, shards, parallel):
     plan = [program, "plan", PIPELINE, "--shards", str(shards), "--artifacts", artifacts, "--json", *settings(data)]
     costs = defaultdict(Cost)
     begin = time.perf_counter()
-    plan = json.loads(subprocess.run(plan, cwd=folder, check=True, capture_output=True).stdout)
+    answer = subprocess.run(plan, cwd=folder, check=True, capture_output=True).stdout
+    plan, path = json.loads(answer), os.path.join(folder, "plan.json")
+    with open(path, "wb") as file:
+        file.write(answer)
     costs["plan"].wall = time.perf_counter() - begin
     for group in plan["groups"]:
         if group["stage"] not in STAGES:
@@ -105,7 +108,9 @@ def sharded(program, folder, artifacts, data, shards, parallel):
         commands = []
         for index in range(group["count"]):
             words = [word.replace("{index}", str(index)).replace("{count}", fill["{count}"]) for word in group["command"]]
-            commands.append(words + ([] if "merge" in words or "--jobs" in words else ["--jobs", "1"]))
+            # The tasks trust the hashes of the plan, as those of the front-ends do.
+            words += ["--plan", path]
+            commands.append(words if "merge" in words or "--jobs" in words else words + ["--jobs", "1"])
         merge = "merge" in group["id"] or "reduce" in group["id"]
         run(commands, parallel, costs[group["stage"]], plan.get("directory", folder), merge)
     return dict(costs)

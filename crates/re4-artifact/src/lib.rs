@@ -56,6 +56,7 @@ mod remote;
 mod rows;
 mod spec;
 mod store;
+mod table;
 mod text;
 mod verify;
 mod writer;
@@ -73,7 +74,7 @@ pub use manifest::{
     FileSummary, MANIFEST_FORMAT, MANIFEST_NAME, Manifest, PART_MANIFEST_NAME, TablePart, TableSummary,
 };
 pub use parts::{Part, Shard};
-pub use reader::{Artifact, Batches, Table};
+pub use reader::Artifact;
 pub use remote::{
     Listed, Put, Remote, RemoteError, attach, attached, fetch, fetch_all, fetch_folder, pull_folder, push_folder,
 };
@@ -83,6 +84,7 @@ pub use rows::{
 };
 pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
+pub use table::{Batches, Table};
 pub use text::cell_text;
 pub use verify::{Described, VerifiedFile, VerifyReport, verify};
 pub use writer::{ArtifactSummary, DEFAULT_ROW_GROUP_ROWS, TableWriter, Writer};

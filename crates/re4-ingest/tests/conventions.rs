@@ -51,6 +51,7 @@ fn ingest(path: &Path, reading: &Reading) -> Result<(Interpreter, Columns), Stri
     let mut all = Vec::new();
     reader
         .for_each(
+            0..reader.demos().len(),
             |_, demo: Result<_, LeftOut>| {
                 let mut demo = demo.unwrap();
                 let columns = interpreter.interpret(&reader, &mut demo, None)?;

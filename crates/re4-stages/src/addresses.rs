@@ -174,6 +174,7 @@ mod tests {
     #[cfg(not(feature = "object-store"))]
     #[test]
     fn a_build_without_object_stores_names_the_feature() {
+        use re4_fault::Remedy as _;
         let error = local_store(Path::new("s3://bucket/a/")).unwrap_err();
         let sentence = crate::notes::fault_of(&error).sentence();
         assert!(sentence.starts_with("cannot use s3://bucket/a: this re4-pipe was built without object stores; "));

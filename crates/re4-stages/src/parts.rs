@@ -266,7 +266,6 @@ pub(crate) fn sum_of_summaries(parts: &[Artifact]) -> serde_json::Map<String, se
 #[cfg(test)]
 mod tests {
     use super::*;
-    use re4_fault::Remedy as _;
 
     #[test]
     fn missing_parts_are_named_as_ranges() {

@@ -4,7 +4,8 @@ use std::iter::Peekable;
 
 use super::{Cell, Row, RowsOf};
 use crate::error::ArtifactError;
-use crate::reader::{Artifact, Table};
+use crate::reader::Artifact;
+use crate::table::Table;
 
 /// An iterator over a table that is sorted by episode: yields each episode's number and rows.
 pub struct ByEpisode<C: Cell> {

@@ -8,7 +8,8 @@ use super::cells::missing;
 use super::{Cell, ColumnSource, Row, columns_of};
 use crate::columns::table_name;
 use crate::error::ArtifactError;
-use crate::reader::{Artifact, Batches, Table};
+use crate::reader::Artifact;
+use crate::table::{Batches, Table};
 
 /// Converts a batch to rows.
 fn rows_of<C: Cell>(batch: &RecordBatch) -> Result<Vec<C>, ArtifactError> {
