@@ -91,6 +91,8 @@ fn an_exported_lerobot_dataset_is_audited() {
         let set = place.path().join("data/set");
         let source = format!("ingest.source={}", set.display());
         let about = place.run_each(&["inspect", set.to_str().unwrap()]).done().stdout;
+        // Long lines are wrapped.
+        let about = about.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(
             about.contains(
                 "task = \"arm\", segment.rule = \"gripper\"; the checks that do not need the pose of an object"

@@ -6,7 +6,7 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 22] = [
+pub(crate) const COMMANDS: [&str; 25] = [
     "ingest",
     "segment",
     "audit",
@@ -16,6 +16,9 @@ pub(crate) const COMMANDS: [&str; 22] = [
     "scenes",
     "rollout",
     "run",
+    "merge",
+    "plan",
+    "status",
     "compare",
     "influence",
     "curate",

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 /// A running server with the bucket `bucket`.
@@ -17,7 +18,11 @@ impl Moto {
             println!("skipped: RE4_MOTO is not set; scripts/setup-moto.sh installs moto_server");
             return None;
         };
-        let mut server = Command::new(program)
+        // The interpreter beside the program.
+        let python = PathBuf::from(program).with_file_name("python");
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/support/atomic_moto.py");
+        let mut server = Command::new(python)
+            .arg(script)
             .args(["-H", "127.0.0.1", "-p", "0"])
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

@@ -25,7 +25,7 @@ use crate::writer::{ArtifactSummary, Publication, Writer, same_bytes};
 /// The part of the tables that describe all parts.
 const DATASET: &str = "dataset";
 
-/// A process's share of the parts of an artifact: number `index` of `count` shares.
+/// A process's shard of the parts of an artifact: number `index` of `count` shares.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     index: u32,
@@ -33,7 +33,7 @@ pub struct Shard {
 }
 
 impl Shard {
-    /// The parts of this share, of `parts` parts. The shares of all indices cover every part once.
+    /// The parts of this shard, of `parts` parts. The shards of all indices cover every part once.
     pub fn parts(self, parts: u32) -> Range<u32> {
         let bound = |index: u32| (u64::from(parts) * u64::from(index) / u64::from(self.count)) as u32;
         bound(self.index)..bound(self.index + 1)
@@ -50,7 +50,7 @@ impl FromStr for Shard {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let refuse =
-            || format!("{text:?} is not a share: write index/count with an index from 0 to count - 1, such as 3/8");
+            || format!("{text:?} is not a shard: write index/count with an index from 0 to count - 1, such as 3/8");
         let (index, count) = text.split_once('/').ok_or_else(refuse)?;
         let digits = |text: &str| {
             text.bytes()
@@ -194,7 +194,10 @@ impl Store {
             Err(error) if !path.exists() && error.kind() != io::ErrorKind::NotFound => {
                 file.persist(&path).map(drop).map_err(|error| error.error)
             }
-            linked => linked,
+            linked => {
+                drop(file);
+                linked
+            }
         };
         self.remove_if_empty();
         match published {

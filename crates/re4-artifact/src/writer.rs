@@ -319,7 +319,11 @@ impl Writer {
         if let Some(parent) = folder.parent() {
             sync_folder(parent)?;
         }
-        Ok(Artifact::with_manifest(folder, ours.clone()))
+        match part {
+            // Read again, because the fields of a summary are sorted when it is written.
+            None => Artifact::open(&folder),
+            Some(_) => Ok(Artifact::with_manifest(folder, ours.clone())),
+        }
     }
 
     fn unfinished(&self, table: &str, reason: &'static str) -> ArtifactError {

@@ -141,7 +141,7 @@ pub(crate) struct StageArguments {
     /// Do not ingest images; same as --set ingest.images=false
     #[arg(long)]
     pub(crate) no_images: bool,
-    /// Make only share I of N of the parts of this stage's artifact, such as 0/8; re4-pipe merge publishes it afterwards
+    /// Make only shard I of N of the parts of this stage's artifact, such as 0/8; re4-pipe merge publishes it afterwards
     #[arg(long, value_name = "I/N")]
     pub(crate) shard: Option<Shard>,
     /// Output of re4-pipe plan --json: use its hashes of the dataset's files unless these have changed
@@ -164,13 +164,13 @@ impl StageArguments {
         self.runner_sharing(Share::Whole, more_overrides)
     }
 
-    /// As [`Self::runner`], for a command that makes the artifact of `stage` or a share of it.
+    /// As [`Self::runner`], for a command that makes the artifact of `stage` or a shard of it.
     pub(crate) fn runner_of(&self, stage: Stage, more_overrides: &[String]) -> Result<Runner> {
         let share = self.shard.map_or(Share::Whole, |shard| Share::Parts(stage, shard));
         self.runner_sharing(share, more_overrides)
     }
 
-    /// As [`Self::runner`], with a given share.
+    /// As [`Self::runner`], with a given shard.
     pub(crate) fn runner_sharing(&self, share: Share, more_overrides: &[String]) -> Result<Runner> {
         let mut overrides = self.set.clone();
         if self.no_images {
@@ -253,7 +253,7 @@ impl RolledArguments {
         stage.runner(&self.overrides())
     }
 
-    /// As [`Self::runner`], for a command that makes the artifact of `stage` or a share of it.
+    /// As [`Self::runner`], for a command that makes the artifact of `stage` or a shard of it.
     pub(crate) fn runner_of(&self, of: Stage, stage: &StageArguments) -> Result<Runner> {
         stage.runner_of(of, &self.overrides())
     }

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::arguments::Common;
 use crate::output::Output;
 
-/// Prints which share of an artifact the process has made.
+/// Prints which shard of an artifact the process has made.
 pub(crate) fn print_share(share: &Partly, json: bool) -> ExitCode {
     let printed = if json {
         let value = serde_json::to_value(share).unwrap_or_default();

@@ -14,6 +14,7 @@ mod notes;
 mod parts;
 mod pipeline;
 mod plan;
+mod plan_file;
 mod reference;
 mod rerender;
 mod runner;
@@ -36,6 +37,7 @@ pub use pipeline::{
     RolloutSection, Seeds, Task, Variant, read_pipeline, schema,
 };
 pub use plan::PlannedStage;
+pub use plan_file::{Group, Plan, memory_mb};
 pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, leaves, warning_text};

@@ -65,7 +65,7 @@ impl<'de> Deserialize<'de> for Share {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Partly {
-    /// The process has made its share of the parts.
+    /// The process has made its shard of the parts.
     #[error("made {made} of the parts {first}..{end} of {}", artifact.display())]
     Made {
         /// Name of the stage.
@@ -123,7 +123,7 @@ fn ranges(numbers: &[u32]) -> String {
 }
 
 impl Share {
-    /// Whether a process with this share builds the artifact of `stage` if it has only one part. If not, the error says so.
+    /// Whether a process with this shard builds the artifact of `stage` if it has only one part. If not, the error says so.
     pub(crate) fn builds_whole(self, store: &Store, recipe: &Recipe) -> Result<()> {
         let artifact = || store.folder(recipe.stage(), &recipe.key());
         let stage = recipe.stage();

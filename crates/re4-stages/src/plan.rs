@@ -51,7 +51,7 @@ impl Runner {
         Ok(stages)
     }
 
-    /// Makes the artifact of a stage of the pipeline, with all that it needs, or this process's share of it.
+    /// Makes the artifact of a stage of the pipeline, with all that it needs, or this process's shard of it.
     ///
     /// # Errors
     /// As the method of the stage; [`Partly`] if the artifact is not complete afterwards.

@@ -184,7 +184,7 @@ impl Runner {
         }
     }
 
-    /// The same runner with another share of artifacts in parts. It prints no notes.
+    /// The same runner with another shard of artifacts in parts. It prints no notes.
     pub(crate) fn sharing(&self, share: Share) -> Self {
         let mut runner = self.session.runner(&self.file, self.pipeline.clone());
         runner.session.notes = Notes::new(true);

@@ -657,9 +657,10 @@ fn a_description_says_what_can_be_done() {
         ("arm".to_owned(), "+audit +segment -index -rollout".to_owned())
     );
     assert_eq!(how(&arm)[1], "task = \"arm\", segment.rule = \"gripper\"");
+    let joints = json!(["shoulder", "elbow", "wrist"]);
     let no_gripper = [
-        Feature::of("observation.state", json!(["shoulder", "elbow"]), 2, waves(2, 30, 2)),
-        Feature::of("action", json!(["shoulder", "elbow"]), 2, waves(2, 30, 2)),
+        Feature::of("observation.state", joints.clone(), 3, waves(2, 30, 3)),
+        Feature::of("action", joints, 3, waves(2, 30, 3)),
     ];
     assert_eq!(
         possible(&no_gripper),

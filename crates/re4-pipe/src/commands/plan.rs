@@ -1,21 +1,17 @@
 //! `re4-pipe plan`, `merge` and `status`: pipelines whose stages several processes make, on any machines that share a file system.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use re4_artifact::Stage;
 use re4_fault::{OrFault as _, ensure, fault};
-use re4_stages::{HashedFile, Notes, PlannedStage, Runner, Settings, Share, address_of};
-use serde::{Deserialize, Serialize};
+use re4_stages::{Group, HashedFile, Notes, Plan, PlannedStage, Runner, Settings, Share, address_of, memory_mb};
 use serde_json::json;
 
 use super::Outcome;
 use crate::arguments::{MergeArguments, PlanArguments, StageArguments, StatusArguments};
 use crate::console::Console;
-
-/// Format of the plan that this build writes and reads.
-const FORMAT: u32 = 1;
 
 /// `re4-pipe merge`.
 pub(crate) fn merge(arguments: &MergeArguments) -> Result<Outcome> {
@@ -30,74 +26,9 @@ pub(crate) fn merge(arguments: &MergeArguments) -> Result<Outcome> {
     super::run::answer(console, &runner, &built)
 }
 
-/// The tasks of a pipeline, in groups. The tasks of a group can run at the same time.
-#[derive(Debug, Serialize, Deserialize)]
-struct Plan {
-    format: u32,
-    /// Folder in which the commands run.
-    directory: PathBuf,
-    pipeline: PathBuf,
-    artifacts: PathBuf,
-    /// Files of the dataset that were hashed. Tasks trust these hashes unless a file has changed.
-    sources: Vec<HashedFile>,
-    /// Overrides of the pipeline's settings.
-    overrides: Vec<String>,
-    /// Maximum number of tasks of a group.
-    shards: u32,
-    groups: Vec<Group>,
-}
-
-impl Plan {
-    fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let plan: Self = serde_json::from_slice(&bytes).or_fault(|| {
-            fault!(
-                "cannot read {}: it is not the output of re4-pipe plan --json", path.display();
-                "write it again with re4-pipe plan PIPELINE.toml --shards N --json"
-            )
-        })?;
-        ensure!(
-            plan.format == FORMAT,
-            "cannot read {}: it has format {}, but this build reads format {FORMAT}", path.display(), plan.format;
-            "write it again with re4-pipe plan"
-        );
-        Ok(plan)
-    }
-}
-
 /// The hashes of a dataset's files in a plan.
 pub(crate) fn sources_of(plan: &Path) -> Result<Vec<HashedFile>> {
     Ok(Plan::read(plan)?.sources)
-}
-
-/// Tasks that run the same command with another index.
-#[derive(Debug, Serialize, Deserialize)]
-struct Group {
-    id: String,
-    stage: String,
-    /// Number of tasks.
-    count: u32,
-    /// The tasks to run; omitted if all.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    indices: Option<Vec<u32>>,
-    /// Groups that must have ended successfully before.
-    after: Vec<String>,
-    cpus: u32,
-    memory_mb: u32,
-    gpus: u32,
-    /// Folder of the artifact; empty if its key is not known yet.
-    outputs: Vec<PathBuf>,
-    /// Words of the command. `{index}` and `{count}` stand for the number of the task and of all tasks.
-    command: Vec<String>,
-}
-
-/// Memory of a task, in MiB. Measured, with room for larger demonstrations; see docs/scale.md.
-fn memory_mb(stage: Stage) -> u32 {
-    match stage {
-        Stage::TrainPose | Stage::Train => 6144,
-        Stage::Rollout => 2048,
-        _ => 1024,
-    }
 }
 
 /// `re4-pipe plan`.
@@ -153,7 +84,7 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
         previous = Some(merge);
     }
     let plan = Plan {
-        format: FORMAT,
+        format: Plan::FORMAT,
         directory: std::env::current_dir().context("cannot find the current folder")?,
         pipeline: arguments.stage.pipeline.clone(),
         sources: runner.hashed(),

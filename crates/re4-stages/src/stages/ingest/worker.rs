@@ -250,7 +250,7 @@ pub(crate) enum Message {
     Described(Description),
     /// The artifact is published.
     Done,
-    /// The worker has made its share of the artifact, or found that parts are missing.
+    /// The worker has made its shard of the artifact, or found that parts are missing.
     Partly(Partly),
     /// The worker stopped with an error.
     Failed {

@@ -72,7 +72,7 @@ pub(super) struct Ingest<'a> {
 }
 
 impl Ingest<'_> {
-    /// Makes and publishes the artifact, or this process's share of it.
+    /// Makes and publishes the artifact, or this process's shard of it.
     pub(super) fn publish<S: DemoSource>(self, source: &S, store: &Store, recipe: &Recipe) -> Result<Artifact> {
         let demos = source.demos().len();
         let parts = parts_of(demos, DEMOS_IN_PART);
