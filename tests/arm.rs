@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use crate::support::{Answer, Place, real_data, repository};
 use re4_segment::Rule;
 
-/// `data/README.md` lists the faults. Of demo_6 and demo_8, only the object shows the fault.
+/// `data/README.md` lists the faults. Of `demo_6` and `demo_8`, only the object shows the fault.
 const FAULTS: [(&str, &str); 13] = [
     ("demo_3", "missed_grasp"),
     ("demo_3", "regrasp"),

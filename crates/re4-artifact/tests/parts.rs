@@ -40,6 +40,9 @@ table! {
 
 const GROUP: usize = 7;
 
+/// Damages the artifact in a folder.
+type Damage<'a> = &'a dyn Fn(&Path);
+
 fn recipe() -> Recipe {
     Recipe::new(Stage::Segment, 1)
 }
@@ -270,7 +273,7 @@ fn other_bytes_of_a_part_or_of_the_manifest_are_an_error_that_names_the_folder()
 #[test]
 fn damage_to_a_part_is_found_and_named() {
     let parts = rows_of(&[9, 9]);
-    let damages: [(&str, &dyn Fn(&Path)); 4] = [
+    let damages: [(&str, Damage<'_>); 4] = [
         ("parts/000001/numbers.parquet is missing", &|folder| {
             fs::remove_file(folder.join("parts/000001/numbers.parquet")).unwrap();
         }),

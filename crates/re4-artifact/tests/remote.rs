@@ -127,6 +127,9 @@ impl Machine {
     }
 }
 
+/// Damages the bytes of an object.
+type Damage = fn(&mut Vec<u8>);
+
 fn connected(cache: &Path, remote: &Arc<Memory>) -> Store {
     attach(cache, Arc::clone(remote) as Arc<dyn Remote>).unwrap();
     Store::open(cache).unwrap()
@@ -180,7 +183,7 @@ fn an_artifact_without_manifest_is_not_there() {
 #[test]
 fn a_damaged_object_is_refused_by_name() {
     let address = format!("memory://bucket/prefix/modes/{}", recipe(1).key().short());
-    let damages: [(&str, fn(&mut Vec<u8>), &str); 6] = [
+    let damages: [(&str, Damage, &str); 6] = [
         (
             "every_kind.parquet",
             |bytes| bytes[40] ^= 1,
@@ -418,7 +421,7 @@ fn large_and_empty_files_are_transferred() {
     let contents: BTreeMap<&str, &[u8]> = BTreeMap::from([
         ("large", &large[..]),
         ("exact", &large[..16 << 20]),
-        ("longer", &large[..(16 << 20) + 1]),
+        ("longer", &large[..=16 << 20]),
         ("twice", &large[..(16 << 20) * 2]),
         ("empty", &[]),
         ("last", b"marker"),

@@ -166,7 +166,7 @@ fn spatial_frames(random: &mut Random) -> Vec<IndexedSpatialFrame> {
     };
     let mut frames = Vec::new();
     for episode in 0..2 + random.below(20) as u32 {
-        for number in 0..1 + random.below(6) as u32 {
+        for number in 0..=random.below(6) as u32 {
             frames.push(IndexedSpatialFrame {
                 episode: 2 * episode,
                 frame: number,

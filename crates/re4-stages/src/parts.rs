@@ -1,5 +1,6 @@
 //! Making artifacts in parts: as one process, as one of several, or by merging what others have made.
 
+use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -146,6 +147,24 @@ impl Share {
             .into()),
             _ => Ok(()),
         }
+    }
+}
+
+/// A value that is computed when it is first needed.
+pub(crate) struct Lazy<T>(OnceCell<T>);
+
+impl<T> Lazy<T> {
+    pub(crate) fn new() -> Self {
+        Self(OnceCell::new())
+    }
+
+    /// The value, or the error of `make`, which is then called again the next time.
+    pub(crate) fn get(&self, make: impl FnOnce() -> Result<T>) -> Result<&T> {
+        if let Some(value) = self.0.get() {
+            return Ok(value);
+        }
+        let value = make()?;
+        Ok(self.0.get_or_init(|| value))
     }
 }
 

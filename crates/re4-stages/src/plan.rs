@@ -26,6 +26,9 @@ pub struct PlannedStage {
     pub done: bool,
 }
 
+/// Folder of an artifact that is not complete, the number of its parts, and the missing ones.
+type Incomplete = (PathBuf, u32, Vec<u32>);
+
 impl Runner {
     /// The stages that a pipeline runs, in order: up to the rollouts, or to the audit if it has no table `[rollout]`.
     ///
@@ -137,8 +140,7 @@ impl Runner {
     }
 
     /// The artifact of a stage whose inputs exist; if it is not complete, its folder, the number of its parts and the missing ones.
-    #[expect(clippy::type_complete, reason = "used once")]
-    fn looking(&self, stage: Stage) -> Result<Result<Built, (PathBuf, u32, Vec<u32>)>> {
+    fn looking(&self, stage: Stage) -> Result<Result<Built, Incomplete>> {
         let start = Instant::now();
         let found = self.sharing(Share::Merge(stage)).artifact_of(stage);
         tracing::debug!(stage = stage.as_str(), wall = ?start.elapsed(), "looked for the artifact");

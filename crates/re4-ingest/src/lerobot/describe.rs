@@ -160,16 +160,14 @@ fn pusht(dataset: &Dataset, keys: &LerobotKeys, stop: Stop<'_>, about: &mut Desc
 fn arm(dataset: &Dataset, keys: &LerobotKeys, about: &mut Description) {
     let (layout, more) = match ArmLayout::of(dataset.info(), keys) {
         Ok(layout) => (layout, Vec::new()),
-        Err(fault) => match ArmLayout::of_first_arm(dataset.info(), keys) {
-            Some((arm, layout)) => {
-                about.notes.push(fault.to_string());
-                (layout, vec![format!("ingest.lerobot.arm = \"{arm}\"")])
-            }
-            None => {
+        Err(fault) => {
+            let Some((arm, layout)) = ArmLayout::of_first_arm(dataset.info(), keys) else {
                 about.cannot_be_used(&fault.to_string());
                 return;
-            }
-        },
+            };
+            about.notes.push(fault.to_string());
+            (layout, vec![format!("ingest.lerobot.arm = \"{arm}\"")])
+        }
     };
     about.task = Some("arm".to_owned());
     layout.describe(about);

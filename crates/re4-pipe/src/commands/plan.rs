@@ -66,7 +66,7 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
                 })
                 .collect();
             if indices.is_empty() {
-                before = previous.clone();
+                before.clone_from(&previous);
             } else {
                 tasks.indices = (indices.len() < count as usize).then_some(indices);
                 groups.push(tasks);
@@ -141,7 +141,7 @@ impl GroupWriter<'_> {
         let program = std::env::current_exe().context("cannot find the program's own file")?;
         let path = |path: &Path| -> Result<String> {
             let text = path.to_str().map(str::to_owned);
-            Ok(text.or_fault(|| fault!("cannot plan with {}: its name is not UTF-8", path.display(); "rename it"))?)
+            text.or_fault(|| fault!("cannot plan with {}: its name is not UTF-8", path.display(); "rename it"))
         };
         let mut command = vec![path(&program)?];
         command.extend(words.iter().map(|&word| word.to_owned()));

@@ -237,7 +237,7 @@ impl Scenes {
     pub(crate) fn first_mjcf(&self) -> Result<&str> {
         let first = self.of_demo.iter().flatten().next();
         let text = first.and_then(|number| self.mjcf.get(number));
-        Ok(text.map(String::as_str).context("no demonstration has a model")?)
+        text.map(String::as_str).context("no demonstration has a model")
     }
 
     /// The MJCF of the same demonstration for rendering: with visual assets and with all contacts.

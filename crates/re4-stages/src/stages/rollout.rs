@@ -8,8 +8,6 @@ mod live;
 mod plane;
 mod space;
 
-use std::cell::OnceCell;
-
 use anyhow::{Context as _, Result, bail};
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_geometry::spatial::Symmetry;
@@ -20,7 +18,7 @@ use serde_json::{Map, Value, json};
 
 use crate::inputs::demos::demo_names;
 use crate::inputs::simulators::simulator_of;
-use crate::parts::parts_of;
+use crate::parts::{Lazy, parts_of};
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
 
@@ -230,15 +228,9 @@ impl Runner {
         in_part: usize,
         finish: impl Fn(&[Artifact], &Writer) -> Result<ArtifactSummary>,
     ) -> Result<Built> {
-        let known = OnceCell::new();
+        let known = Lazy::new();
         let make = |writer: &Writer, part: u32| {
-            let opened = match known.get() {
-                Some(opened) => opened,
-                None => known.get_or_init({
-                    let opened = self.opened(setup, artifacts)?;
-                    || opened
-                }),
-            };
+            let opened = known.get(|| self.opened(setup, artifacts))?;
             let first = part as usize * in_part;
             let own = &starts[first..starts.len().min(first + in_part)];
             self.record(

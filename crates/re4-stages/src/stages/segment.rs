@@ -1,7 +1,5 @@
 //! The stage `segment`: makes `modes` from `episodes`.
 
-use std::cell::OnceCell;
-
 use anyhow::Result;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Cell, Recipe, Stage, Writer};
@@ -17,7 +15,7 @@ use crate::inputs::arm::{self, ArmEpisodes};
 
 use crate::inputs::demos::{SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_frames;
-use crate::parts::sum_of_summaries;
+use crate::parts::{Lazy, sum_of_summaries};
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
@@ -34,14 +32,8 @@ impl Runner {
             .config(config)?
             .input("episodes", episodes.artifact.key());
         // The gripper of an arm is proven from all demonstrations, once.
-        let gripper = OnceCell::new();
-        let gripper = || match gripper.get() {
-            Some(gripper) => Ok(gripper),
-            None => {
-                let proven = arm::gripper(&episodes.artifact, config)?;
-                anyhow::Ok(gripper.get_or_init(|| proven))
-            }
-        };
+        let proven = Lazy::new();
+        let gripper = || proven.get(|| arm::gripper(&episodes.artifact, config));
         let make = |episodes: &Artifact, writer: &Writer| match self.pipeline.task.domain() {
             Domain::Plane => {
                 let demos = read_frames(episodes)?;

@@ -1,6 +1,5 @@
 //! The stage `index` for robosuite tasks.
 
-use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use anyhow::Result;
@@ -13,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::estimated::EstimatedPoses;
 use crate::inputs::demos::SegmentedEpisodes;
-use crate::parts::sum_of_summaries;
+use crate::parts::{Lazy, sum_of_summaries};
 use crate::pipeline::Estimates;
 use crate::runner::{Built, Runner};
 
@@ -34,47 +33,19 @@ impl Runner {
         } else {
             Some(self.audit(episodes, modes)?)
         };
-        // Keys that are added only below leave the key of an index unchanged for pipelines that do not use these settings.
-        let mut config = json!({
-            "task": self.pipeline.task,
-            "leave_out": leave_out,
-            "pose": { "source": self.pipeline.pose()?.source },
-        });
-        if poses.is_some() && !leave_out.is_empty() {
-            config["by_fingers"] = self.audit_config();
-        }
+        let recipe = self.spatial_recipe([episodes, modes], audit.as_ref(), poses)?;
         let estimates = self.pipeline.index()?.estimates;
-        if poses.is_some() && estimates != Estimates::default() {
-            config["estimates"] = json!(estimates);
-        }
         let trim = &self.pipeline.index()?.trim;
-        if !trim.is_empty() {
-            config["trim"] = json!(trim);
-        }
-        let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
-            .config(&config)?
-            .input("episodes", episodes.artifact.key())
-            .input("modes", modes.artifact.key());
-        if let Some(audit) = &audit {
-            recipe = recipe.input("audit", audit.artifact.key());
-        }
-        if let Some(poses) = poses {
-            recipe = recipe.input("poses", poses.artifact.key());
-        }
         // Which frames are left out depends on all demonstrations.
-        let known = OnceCell::new();
-        let ends = || match known.get() {
-            Some(ends) => Ok(ends),
-            None => {
-                let ends = match (&audit, poses) {
-                    (Some(audit), _) => left_out(&audit.artifact, leave_out)?,
-                    (None, Some(_)) if !leave_out.is_empty() => {
-                        self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)?
-                    }
-                    _ => BTreeMap::new(),
-                };
-                anyhow::Ok(known.get_or_init(|| ends))
-            }
+        let known = Lazy::new();
+        let ends = || {
+            known.get(|| match (&audit, poses) {
+                (Some(audit), _) => left_out(&audit.artifact, leave_out),
+                (None, Some(_)) if !leave_out.is_empty() => {
+                    self.left_out_by_fingers(&episodes.artifact, &modes.artifact, leave_out)
+                }
+                _ => Ok(BTreeMap::new()),
+            })
         };
         let estimated = || poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose();
         let make = |episodes: &Artifact, modes: &Artifact, writer: &Writer| {
@@ -136,6 +107,44 @@ impl Runner {
                 })
             },
         )
+    }
+
+    /// The recipe of the index.
+    fn spatial_recipe(
+        &self,
+        [episodes, modes]: [&Built; 2],
+        audit: Option<&Built>,
+        poses: Option<&Built>,
+    ) -> Result<Recipe> {
+        let leave_out = &self.pipeline.index()?.leave_out;
+        // Keys that are added only below leave the key of an index unchanged for pipelines that do not use these settings.
+        let mut config = json!({
+            "task": self.pipeline.task,
+            "leave_out": leave_out,
+            "pose": { "source": self.pipeline.pose()?.source },
+        });
+        if poses.is_some() && !leave_out.is_empty() {
+            config["by_fingers"] = self.audit_config();
+        }
+        let estimates = self.pipeline.index()?.estimates;
+        if poses.is_some() && estimates != Estimates::default() {
+            config["estimates"] = json!(estimates);
+        }
+        let trim = &self.pipeline.index()?.trim;
+        if !trim.is_empty() {
+            config["trim"] = json!(trim);
+        }
+        let mut recipe = Recipe::new(Stage::Index, CODE_VERSION)
+            .config(&config)?
+            .input("episodes", episodes.artifact.key())
+            .input("modes", modes.artifact.key());
+        if let Some(audit) = audit {
+            recipe = recipe.input("audit", audit.artifact.key());
+        }
+        if let Some(poses) = poses {
+            recipe = recipe.input("poses", poses.artifact.key());
+        }
+        Ok(recipe)
     }
 }
 

@@ -296,7 +296,7 @@ impl<'a> Rendering<'a> {
     pub(super) fn write(
         &self,
         spool: &Spool,
-        demos: impl Iterator<Item = (u32, usize)> + Clone,
+        demos: &(impl Iterator<Item = (u32, usize)> + Clone),
         mut table: ImageTable,
     ) -> Result<usize> {
         for &camera in &self.cameras {

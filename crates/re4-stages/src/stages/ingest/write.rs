@@ -434,6 +434,6 @@ impl Ingest<'_> {
             |take| Self::read_kept(source, part, kept, take),
         )?;
         let lengths = (part.first..).zip(kept.iter().map(|(_, frames)| *frames));
-        rendering.write(spool, lengths, ImageTable::new(writer)?)
+        rendering.write(spool, &lengths, ImageTable::new(writer)?)
     }
 }
