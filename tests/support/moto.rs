@@ -53,6 +53,7 @@ impl Moto {
     }
 
     /// Address of the server.
+    #[allow(dead_code, reason = "only one of the two test programs with this module uses it")]
     pub(crate) fn endpoint(&self) -> &str {
         &self.endpoint
     }
