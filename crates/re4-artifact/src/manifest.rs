@@ -277,6 +277,18 @@ impl Manifest {
                 reason: format!("refers to a file outside the artifact for table {name}"),
             }));
         }
+        let rows_of = |summary: &TableSummary| {
+            summary
+                .parts
+                .iter()
+                .try_fold(0_u64, |sum, part| sum.checked_add(part.rows))
+        };
+        let unequal = |summary: &TableSummary| !summary.parts.is_empty() && rows_of(summary) != Some(summary.rows);
+        if let Some((name, _)) = manifest.tables.iter().find(|(_, summary)| unequal(summary)) {
+            return Err(damaged(Damage::Manifest {
+                reason: format!("lists parts of table {name} that do not have the rows of the table"),
+            }));
+        }
         if let Some(name) = manifest.files.keys().find(|name| name.contains(['/', '\\'])) {
             return Err(damaged(Damage::Manifest {
                 reason: format!("refers to a file outside the artifact, {name}"),

@@ -64,13 +64,7 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         "to estimate poses from images, set variant = \"image\" and pose.source = \"{}\"",
         if planar { "log_polar" } else { "encoder" }
     );
-    let episodes = runner.ingest()?;
-    let built = if planar {
-        runner.train_pose(&episodes)?
-    } else {
-        runner.train_spatial(&episodes, &runner.segment(&episodes)?)?
-    };
-    let built = built.context("no pose estimator")?;
+    let built = runner.artifact_of(Stage::TrainPose)?;
     answer(console, &runner, &built)
 }
 
@@ -79,15 +73,7 @@ pub(crate) fn index(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
     let runner = arguments.runner_of(Stage::Index, &[])?;
     runner.pipeline.needs_object()?;
-    let episodes = runner.ingest()?;
-    let modes = runner.segment(&episodes)?;
-    if !runner.pipeline.task.is_planar() {
-        let poses = runner.train_spatial(&episodes, &modes)?;
-        let built = runner.index_spatial(&episodes, &modes, poses.as_ref())?;
-        return answer(console, &runner, &built);
-    }
-    let poses = runner.train_pose(&episodes)?;
-    let built = runner.index(&episodes, &modes, poses.as_ref())?;
+    let built = runner.artifact_of(Stage::Index)?;
     answer(console, &runner, &built)
 }
 
