@@ -1,7 +1,7 @@
 #!/bin/sh
 # Builds the Python wheel of re4-pipe for Linux on x86-64, and prints its path: target/wheels/re4_pipe-*.whl. It holds the native
 # command without the subcommand query, whose engine would triple its size, and with its own HDF5 library, so it needs no libraries
-# but those of C and C++. The wheel is compressed by zopfli, whose output is 7 % smaller than that of zlib, and HDF5 is compiled by cmake;
+# but those of C and C++. The wheel is compressed by zopfli, whose output is smaller than that of zlib, and HDF5 is compiled by cmake;
 # both are installed into target/wheel-tools, cmake only if it is missing. Needs Python 3.11.
 set -eu
 cd "$(dirname "$0")/.."

@@ -60,7 +60,7 @@ def deflated(content: bytes) -> bytes:
         from zopfli.zopfli import compress
     except ImportError:
         return zlib.compress(content, 9)[2:-4]
-    # More iterations make it only 0.2 % smaller.
+    # On the first 4 MB of the command, 15 iterations made it 0.2 % smaller.
     return compress(content, numiterations=1)[2:-4]
 
 
