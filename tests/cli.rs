@@ -6,9 +6,10 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 25] = [
+pub(crate) const COMMANDS: [&str; 26] = [
     "ingest",
     "segment",
+    "observe",
     "audit",
     "train-pose",
     "index",

@@ -6,8 +6,15 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::support::{Place, repository};
-use re4_artifact::{Artifact, Row as _, TableSpec};
+use re4_artifact::{Artifact, ByEpisode, Row as _, TableSpec};
+use re4_audit::{
+    AuditConfig, Basis, CHECKS, CheckRow, FindingRow, FingerUnit, GraspLimits, Observation, SpatialDemo, Thresholds,
+    audit_copies, audit_spatial, observe_spatial,
+};
+use re4_episode::SpatialEpisode;
 use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
+use re4_scores::{Motion, ScoreRow, Sketch};
+use re4_segment::{GripperConfig, SegmentConfig, segment_spatial};
 use serde_json::Value;
 
 /// Three parts of 256 demonstrations, the last one short.
@@ -108,7 +115,8 @@ fn shares_in_any_order_and_number_give_the_bytes_of_one_process() {
         .map(|row| row.episode)
         .collect();
     assert_eq!(numbers, (0..DEMOS as u32).collect::<Vec<_>>());
-    for stage in ["ingest", "segment", "index"] {
+    succeeds(&place, "one", &["audit", "many.toml", "--jobs", "1"]);
+    for stage in ["ingest", "segment", "index", "observe", "audit"] {
         // A share that is empty, others in reverse order, one of them twice, and one missing.
         for shard in ["0/7", "6/7", "4/7", "4/7"] {
             succeeds(&place, "parts", &[stage, "many.toml", "--shard", shard]);
@@ -123,10 +131,73 @@ fn shares_in_any_order_and_number_give_the_bytes_of_one_process() {
     }
     assert_same(&place, "one", "parts");
     succeeds(&place, "one", &["verify"]);
-    // The audit reads all parts.
-    let audit = succeeds(&place, "one", &["audit", "many.toml", "--json"]);
-    let audit: Value = serde_json::from_str(&audit).unwrap();
-    assert_eq!(audit["summary"]["episodes"], DEMOS, "{audit}");
+    audit_is_that_of_all_demonstrations_together(&place);
+}
+
+/// Compares the audit in parts with one that holds all demonstrations in memory.
+fn audit_is_that_of_all_demonstrations_together(place: &Place) {
+    let constant = |code: &str| {
+        let check = CHECKS.iter().find(|check| check.code == code).unwrap();
+        match check.basis {
+            Basis::Constant { spatial, .. } => spatial,
+            _ => panic!("{code} has no constant"),
+        }
+    };
+    let limits = GraspLimits {
+        closed: GripperConfig::default().closed,
+        lost: constant("lost_grasp"),
+        flicker: constant("flicker") as usize,
+        frozen: constant("frozen_object") as usize,
+        swapped: constant("swapped_object"),
+        fingers: FingerUnit::Metres,
+    };
+    let episodes = only(place, "one", "episodes");
+    let names = episodes.read::<DemoRow>().unwrap();
+    let frames = ByEpisode::open(&episodes, |row: &FrameRow<SpatialColumns>| row.episode).unwrap();
+    let demos: Vec<SpatialDemo> = frames
+        .map(|rows| {
+            let (number, rows) = rows.unwrap();
+            let episode = SpatialEpisode {
+                name: names[number as usize].demo.clone(),
+                frames: rows.iter().map(|row| row.recorded.frame().unwrap()).collect(),
+            };
+            SpatialDemo {
+                number,
+                segmented: segment_spatial(&episode, &SegmentConfig::spatial()).unwrap(),
+                episode,
+            }
+        })
+        .collect();
+    let observations: Vec<Observation> = demos.iter().map(|demo| observe_spatial(demo, &limits)).collect();
+    let thresholds = Thresholds::derive(&observations, &AuditConfig::default(), false, limits.closed);
+    // The sample has no recorded goals, so their seams are not checked.
+    let thresholds = thresholds.with_recorded_goals(false);
+    let mut findings = audit_copies(&observations, &thresholds);
+    findings.extend(
+        demos
+            .iter()
+            .flat_map(|demo| audit_spatial(demo, &thresholds, &limits).findings),
+    );
+    findings.sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
+    let findings: Vec<FindingRow> = (0..)
+        .zip(&findings)
+        .map(|(number, finding)| FindingRow::new(number, finding))
+        .collect();
+    let audit = only(place, "one", "audit");
+    assert_eq!(audit.parts(), 3);
+    assert!(findings.iter().any(|row| row.other_episode.is_some()), "no copy");
+    assert_eq!(audit.read::<FindingRow>().unwrap(), findings);
+    let thresholds: Vec<_> = thresholds.iter().map(|(check, of)| (check.code, of.value)).collect();
+    let checks = audit.read::<CheckRow>().unwrap();
+    let found: Vec<_> = checks.iter().map(|row| (&*row.code, row.threshold)).collect();
+    assert_eq!(found, thresholds);
+    let sketch = |demo: &SpatialDemo| {
+        let segments: Vec<_> = demo.segmented.segments.iter().map(|s| s.segment.clone()).collect();
+        Sketch::of(demo.number, &Motion::spatial(&demo.episode, &segments, 0.05))
+    };
+    let sketches: Vec<Sketch> = demos.iter().map(sketch).collect();
+    assert_eq!(audit.read::<ScoreRow>().unwrap(), re4_scores::score(&sketches));
+    assert_eq!(audit.manifest().summary["episodes"], DEMOS);
 }
 
 #[test]
@@ -138,6 +209,25 @@ fn numbers_do_not_depend_on_demonstrations_that_are_left_out_of_other_parts() {
     succeeds(&place, "bad", &["merge", "ingest", "bad.toml"]);
     succeeds(&place, "whole", &["ingest", "bad.toml"]);
     assert_same(&place, "bad", "whole");
+    // The demonstrations that were left out are the last part of the audit.
+    succeeds(&place, "bad", &["segment", "bad.toml"]);
+    succeeds(&place, "whole", &["segment", "bad.toml"]);
+    for kind in ["observations", "audit"] {
+        fs::remove_dir_all(only(&place, "bad", kind).path()).unwrap();
+    }
+    for stage in ["observe", "audit"] {
+        succeeds(&place, "bad", &[stage, "bad.toml", "--shard", "0/2"]);
+        let (code, text) = run(&place, "bad", &["merge", stage, "bad.toml"]);
+        assert_eq!(code, 3, "{text}");
+        succeeds(&place, "bad", &[stage, "bad.toml", "--shard", "1/2"]);
+        succeeds(&place, "bad", &["merge", stage, "bad.toml"]);
+    }
+    assert_same(&place, "bad", "whole");
+    let audit = only(&place, "whole", "audit");
+    let left = audit.read::<FindingRow>().unwrap();
+    let left = left.iter().filter(|row| &*row.code == "left_out").count();
+    let listed = only(&place, "whole", "episodes").manifest().tables["left_out"].rows;
+    assert_eq!(left as u64, listed);
     succeeds(&place, "bad", &["verify"]);
     succeeds(&place, "good", &["ingest", "good.toml"]);
     let (bad, good) = (only(&place, "bad", "episodes"), only(&place, "good", "episodes"));

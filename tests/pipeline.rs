@@ -430,6 +430,39 @@ fn a_recording_never_replaces_anything() {
     assert_snapshot!(format!("{existing}\n{lost}"));
 }
 
+/// Tables that are not of Push-T: those of robosuite tasks, and that of unusable demonstrations.
+const OTHERS: [&str; 26] = [
+    "conventions",
+    // Written by observe.
+    "copies",
+    "measured",
+    "observations",
+    "paths",
+    "reference",
+    "sketches",
+    "thresholds",
+    "usual",
+    // Written by influence and curate.
+    "curated",
+    "curation_judged",
+    "curation_rounds",
+    "influence",
+    "influence_pairs",
+    "judged_episodes",
+    "grasps",
+    "labels",
+    "left_out",
+    "left_out_frames",
+    "models",
+    "pose_errors",
+    "rule_agreement",
+    "signals",
+    "states",
+    "training",
+    // Written only by rollouts with other goals or disturbances.
+    "worlds",
+];
+
 #[test]
 fn inspect_shows_every_artifact() {
     let place = Place::new();
@@ -493,34 +526,11 @@ fn inspect_shows_every_artifact() {
         }
     }
     seen.sort();
-    // Only Push-T's tables, without those of robosuite tasks and that of unusable demonstrations.
-    let others = [
-        "conventions",
-        // Written by influence and curate.
-        "curated",
-        "curation_judged",
-        "curation_rounds",
-        "influence",
-        "influence_pairs",
-        "judged_episodes",
-        "grasps",
-        "labels",
-        "left_out",
-        "left_out_frames",
-        "models",
-        "pose_errors",
-        "rule_agreement",
-        "signals",
-        "states",
-        "training",
-        // Written only by rollouts with other goals or disturbances.
-        "worlds",
-    ];
     let mut known: Vec<&str> = re4_stages::tables::all()
         .map(|(_, spec)| spec.name)
         // Tables of policies other than RE4 are tested with these policies.
         .filter(|name| *name == "decisions_re4" || !name.starts_with("decisions_"))
-        .filter(|name| !name.starts_with("spatial_") && !others.contains(name))
+        .filter(|name| !name.starts_with("spatial_") && !OTHERS.contains(name))
         .collect();
     known.sort_unstable();
     known.dedup();

@@ -97,6 +97,7 @@ fn the_schemas_match_the_written_columns() {
         ),
     );
     place.run("index can.toml").done();
+    place.run("observe can.toml").done();
     let compared = compare_with_schemas(&place);
     let missing: Vec<String> = re4_stages::tables::all()
         .map(|(_, table)| table.title())

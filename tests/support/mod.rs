@@ -474,7 +474,12 @@ pub(crate) fn compare_with_schemas(place: &Place) -> BTreeSet<String> {
             .into_iter()
             .filter(|folder| folder.join("manifest.json").exists())
         {
-            for file in fs::read_dir(&artifact).unwrap().map(|entry| entry.unwrap().path()) {
+            let mut folders = vec![artifact.clone()];
+            if artifact.join("parts").is_dir() {
+                folders.extend(folders_in(&artifact.join("parts")));
+            }
+            let files = folders.iter().flat_map(|folder| fs::read_dir(folder).unwrap());
+            for file in files.map(|entry| entry.unwrap().path()) {
                 if file.extension().is_none_or(|extension| extension != "parquet") {
                     continue;
                 }

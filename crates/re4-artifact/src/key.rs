@@ -17,7 +17,9 @@ pub enum Stage {
     Ingest,
     /// Reads `episodes` and produces `modes`.
     Segment,
-    /// Reads `episodes` and `modes` and produces `audit`, a table of findings.
+    /// Reads `episodes` and `modes` and produces `observations`, from which the audit of many demonstrations derives thresholds.
+    Observe,
+    /// Reads `episodes`, `modes` and, for many demonstrations, `observations`, and produces `audit`, a table of findings.
     Audit,
     /// Reads `episodes` and `modes` and produces `poses`.
     TrainPose,
@@ -41,9 +43,10 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Ingest,
         Self::Segment,
+        Self::Observe,
         Self::Audit,
         Self::TrainPose,
         Self::Index,
@@ -61,6 +64,7 @@ impl Stage {
         match self {
             Self::Ingest => "ingest",
             Self::Segment => "segment",
+            Self::Observe => "observe",
             Self::Audit => "audit",
             Self::TrainPose => "train-pose",
             Self::Index => "index",
@@ -79,6 +83,7 @@ impl Stage {
         match self {
             Self::Ingest => "episodes",
             Self::Segment => "modes",
+            Self::Observe => "observations",
             Self::Audit => "audit",
             Self::TrainPose => "poses",
             Self::Index => "index",

@@ -5,7 +5,7 @@
 //! tables that describe all parts are in `parts/dataset`. The manifest of the artifact is published last and lists the files of all
 //! parts; without it, the artifact does not exist yet.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs;
 use std::io::{self, Write as _};
@@ -288,18 +288,25 @@ impl Artifact {
         Ok(part)
     }
 
+    /// The part without some of its tables, for an artifact whose part [`Part::Dataset`] has them for all parts.
+    #[must_use]
+    pub fn without(self, tables: &[&str]) -> Self {
+        let mut manifest = self.manifest().clone();
+        manifest.tables.retain(|name, _| !tables.contains(&name.as_str()));
+        Self::with_manifest(self.path().to_path_buf(), manifest)
+    }
+
     /// Checks every byte of the files of an artifact in parts, and that the folders of its parts contain no other files. Folders of parts
     /// that the manifest does not list are left alone: a process that was late may have written them.
     pub(crate) fn verify_parts(&self) -> Result<(), ArtifactError> {
         self.verify_files()?;
-        let mut files: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
-        for table in self.manifest().tables.values() {
-            for part in &table.parts {
-                files.entry(&part.part).or_default().push(&table.file);
-            }
-        }
-        for (part, files) in files {
+        let of_tables = self.manifest().tables.values().flat_map(|table| &table.parts);
+        let parts: BTreeSet<&str> = of_tables.map(|part| part.part.as_str()).collect();
+        for part in parts {
             let folder = self.path().join(PARTS).join(part);
+            // A part may have tables that the artifact does not list, because another part has them for all parts.
+            let own = Self::open_part(&folder, part, self.key())?;
+            let files: Vec<&str> = own.manifest().tables.values().map(|table| &*table.file).collect();
             for entry in fs::read_dir(&folder).map_err(ArtifactError::io("list", &folder))? {
                 let name = entry.map_err(ArtifactError::io("list", &folder))?.file_name();
                 let name = name.to_string_lossy();
@@ -308,7 +315,6 @@ impl Artifact {
                     return Err(ArtifactError::damaged(self.path(), Damage::Stray { file }));
                 }
             }
-            Self::open_part(&folder, part, self.key())?;
         }
         Ok(())
     }

@@ -38,6 +38,17 @@ pub struct ActionFit {
 }
 
 impl ActionFit {
+    /// A response that was measured before. Its axes are not known; thresholds do not depend on them.
+    pub(crate) fn known(lag: Option<f64>, gain: f64, correlation: f64) -> Self {
+        let axes = Vec::new();
+        Self {
+            lag,
+            gain,
+            correlation,
+            axes,
+        }
+    }
+
     /// Measures the response of a demonstration with a gripper; see [`ActionFit::between`].
     pub(crate) fn of(frames: &[SpatialFrame]) -> Option<Self> {
         let positions = frames

@@ -8,7 +8,7 @@ use re4_task::Domain;
 use crate::checks::find;
 use crate::finding::{Finding, Severity};
 use crate::runs::{bursts, runs};
-use crate::thresholds::{Observation, Thresholds};
+use crate::thresholds::Thresholds;
 
 /// Collects the findings of one demonstration.
 pub(crate) struct Sink<'a> {
@@ -51,10 +51,10 @@ impl<'a> Sink<'a> {
     }
 
     /// Links the last finding with another demonstration.
-    pub(crate) fn link(&mut self, other: &Observation) {
+    pub(crate) fn link(&mut self, other: u32, demo: &str) {
         if let Some(finding) = self.findings.last_mut() {
-            finding.other = Some(other.episode);
-            finding.other_demo = Some(other.demo.clone());
+            finding.other = Some(other);
+            finding.other_demo = Some(demo.to_owned());
         }
     }
 

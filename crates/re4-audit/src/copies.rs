@@ -9,9 +9,10 @@ use std::collections::HashMap;
 
 use nalgebra::Vector3;
 
-use crate::checks::SAMPLE;
+use crate::checks::{SAMPLE, find};
 use crate::common::Sink;
 use crate::finding::Finding;
+use crate::observed::CopyRow;
 use crate::thresholds::{Observation, Thresholds};
 use re4_task::Domain;
 
@@ -47,6 +48,16 @@ impl Path {
         Self((0..POINTS).flat_map(sample).collect())
     }
 
+    /// The coordinates of all points.
+    pub(crate) fn coordinates(&self) -> &[f32] {
+        &self.0
+    }
+
+    /// The path with these coordinates.
+    pub(crate) fn of_coordinates(coordinates: Vec<f32>) -> Self {
+        Self(coordinates)
+    }
+
     /// The root mean square distance between the points of two paths, or `None` if it is at least `limit`.
     fn distance(&self, other: &Self, limit: f64) -> Option<f64> {
         let most = limit * limit * (2 * POINTS) as f64;
@@ -68,80 +79,145 @@ impl Path {
 }
 
 /// Distances of a sample of demonstrations to their nearest other one that is not identical.
-pub(crate) fn nearest_distances(observations: &[Observation]) -> Vec<f64> {
-    let step = observations.len().div_ceil(SAMPLE).max(1);
-    observations
-        .iter()
-        .step_by(step)
-        .filter_map(|own| {
-            let mut nearest = f64::INFINITY;
-            for other in observations.iter().filter(|other| other.episode != own.episode) {
-                if let Some(distance) = own.path.distance(&other.path, nearest)
-                    && distance > 0.0
-                {
-                    nearest = distance;
-                }
+#[derive(Debug)]
+pub struct Neighbours {
+    /// Every how many-th demonstration is in the sample.
+    step: usize,
+    seen: usize,
+    sample: Vec<(u32, Path, f64)>,
+}
+
+impl Neighbours {
+    /// An empty sample of so many demonstrations.
+    pub fn new(count: usize) -> Self {
+        Self {
+            step: count.div_ceil(SAMPLE).max(1),
+            seen: 0,
+            sample: Vec::new(),
+        }
+    }
+
+    /// Takes the next demonstration into the sample if it is its place in the order that says so.
+    pub fn sample(&mut self, own: &Observation) {
+        if self.seen.is_multiple_of(self.step) {
+            self.sample.push((own.episode, own.path.clone(), f64::INFINITY));
+        }
+        self.seen += 1;
+    }
+
+    /// Compares all of the sample with a demonstration.
+    pub fn compare(&mut self, other: &Observation) {
+        for (episode, path, nearest) in &mut self.sample {
+            if *episode != other.episode
+                && let Some(distance) = path.distance(&other.path, *nearest)
+                && distance > 0.0
+            {
+                *nearest = distance;
             }
-            nearest.is_finite().then_some(nearest)
-        })
-        .collect()
+        }
+    }
+
+    /// The distances.
+    pub(crate) fn distances(self) -> Vec<f64> {
+        let distances = self.sample.into_iter().map(|(_, _, nearest)| nearest);
+        distances.filter(|distance| distance.is_finite()).collect()
+    }
 }
 
 /// Reports demonstrations that are identical to an earlier one, nearly the same as an earlier one, or have the same actions as an
 /// earlier one.
 pub fn audit_copies(observations: &[Observation], thresholds: &Thresholds) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    let mut recordings: HashMap<[u8; 32], usize> = HashMap::new();
-    let mut actions: HashMap<[u8; 32], usize> = HashMap::new();
-    let mut grid = Grid::new(thresholds.over("near_duplicate"));
-    for (place, observation) in observations.iter().enumerate() {
-        let all = 0..observation.frames as usize;
-        let mut sink = Sink::new(observation.episode, &observation.demo, thresholds);
-        let identical = recordings
-            .get(&observation.recording)
-            .map(|&other| &observations[other]);
-        let same = actions.get(&observation.actions).map(|&other| &observations[other]);
-        let near = || grid.nearest(observation, observations);
-        if let Some(same) = identical {
-            let message = format!("identical to {}, bit for bit", same.demo);
-            sink.add("duplicate", all, None, message);
-            sink.link(same);
-        } else if let Some((other, distance)) = near() {
-            let other = &observations[other];
-            let message = format!(
-                "nearly identical to {}: over {} and {} frames, the paths are {} apart",
-                other.demo,
-                observation.frames,
-                other.frames,
+    let mut copies = Copies::new(thresholds);
+    let found = |own: &Observation| {
+        let copy = copies.add(own)?;
+        copy.finding(&own.demo, own.frames, thresholds)
+    };
+    observations.iter().filter_map(found).collect()
+}
+
+/// Demonstrations that are added one at a time and compared with the earlier ones. About 900 bytes are kept of each.
+pub struct Copies {
+    recordings: HashMap<[u8; 32], usize>,
+    actions: HashMap<[u8; 32], usize>,
+    grid: Grid,
+    /// Number, name and number of frames of all demonstrations.
+    earlier: Vec<(u32, Box<str>, u32)>,
+}
+
+impl Copies {
+    /// No demonstrations.
+    pub fn new(thresholds: &Thresholds) -> Self {
+        Self {
+            recordings: HashMap::new(),
+            actions: HashMap::new(),
+            grid: Grid::new(thresholds.over("near_duplicate")),
+            earlier: Vec::new(),
+        }
+    }
+
+    /// Compares a demonstration with the earlier ones.
+    pub fn add(&mut self, own: &Observation) -> Option<CopyRow> {
+        let place = self.earlier.len();
+        let found = if let Some(&other) = self.recordings.get(&own.recording) {
+            Some(("duplicate", other, None))
+        } else if let Some((other, distance)) = self.grid.nearest(&own.path) {
+            Some(("near_duplicate", other, Some(distance)))
+        } else {
+            self.actions
+                .get(&own.actions)
+                .map(|&other| ("same_actions", other, None))
+        };
+        self.recordings.entry(own.recording).or_insert(place);
+        self.actions.entry(own.actions).or_insert(place);
+        // Of many copies of one demonstration, only the first is compared with later ones.
+        if found.is_none_or(|(code, ..)| code == "same_actions") {
+            self.grid.insert(place, &own.path);
+        }
+        self.earlier.push((own.episode, own.demo.as_str().into(), own.frames));
+        let (code, other, distance) = found?;
+        let (other, other_demo, other_frames) = self.earlier.get(other)?;
+        Some(CopyRow {
+            episode: own.episode,
+            code: code.into(),
+            distance,
+            other: *other,
+            other_demo: other_demo.to_string(),
+            other_frames: *other_frames,
+        })
+    }
+}
+
+impl CopyRow {
+    /// The finding about the copy; `demo` and `frames` are its name and its number of frames. `None` if the row names no check of this
+    /// build.
+    pub fn finding(&self, demo: &str, frames: u32, thresholds: &Thresholds) -> Option<Finding> {
+        let code = find(&self.code)?.code;
+        let other = &self.other_demo;
+        let message = match self.distance {
+            Some(distance) => format!(
+                "nearly identical to {other}: over {frames} and {} frames, the paths are {} apart",
+                self.other_frames,
                 match thresholds.domain() {
                     Domain::Plane => format!("{distance:.2} px"),
                     Domain::Arm if !thresholds.made("discontinuity_eef") =>
                         format!("{:.2} % of the range of a joint", 1e2 * distance),
                     Domain::Space | Domain::Arm => format!("{:.2} mm", 1e3 * distance),
                 }
-            );
-            sink.add("near_duplicate", all, Some(distance), message);
-            sink.link(other);
-        } else if let Some(same) = same {
-            let message = format!("the same actions as {}, but other states", same.demo);
-            sink.add("same_actions", all, None, message);
-            sink.link(same);
-        }
-        recordings.entry(observation.recording).or_insert(place);
-        actions.entry(observation.actions).or_insert(place);
-        // Of many copies of one demonstration, only the first is compared with later ones.
-        if sink.findings.iter().all(|finding| finding.code == "same_actions") {
-            grid.insert(place, observation);
-        }
-        findings.append(&mut sink.findings);
+            ),
+            None if code == "duplicate" => format!("identical to {other}, bit for bit"),
+            None => format!("the same actions as {other}, but other states"),
+        };
+        let mut sink = Sink::new(self.episode, demo, thresholds);
+        sink.add(code, 0..frames as usize, self.distance, message);
+        sink.link(self.other, other);
+        sink.findings.pop()
     }
-    findings
 }
 
 /// Paths by the cell of their means.
 struct Grid {
     limit: f64,
-    cells: HashMap<[i64; 4], Vec<usize>>,
+    cells: HashMap<[i64; 4], Vec<(usize, Path)>>,
 }
 
 impl Grid {
@@ -158,29 +234,30 @@ impl Grid {
         GRID.map(|coordinate| (path.mean(coordinate) / side).floor() as i64)
     }
 
-    fn insert(&mut self, place: usize, observation: &Observation) {
+    fn insert(&mut self, place: usize, path: &Path) {
         if self.limit.is_finite() && self.limit > 0.0 {
-            let cell = self.cell(&observation.path);
-            self.cells.entry(cell).or_default().push(place);
+            self.cells
+                .entry(self.cell(path))
+                .or_default()
+                .push((place, path.clone()));
         }
     }
 
     /// The nearest inserted demonstration closer than the limit; the earliest of equally near ones.
-    fn nearest(&self, own: &Observation, all: &[Observation]) -> Option<(usize, f64)> {
+    fn nearest(&self, own: &Path) -> Option<(usize, f64)> {
         if !(self.limit.is_finite() && self.limit > 0.0) {
             return None;
         }
-        let center = self.cell(&own.path);
+        let center = self.cell(own);
         let mut best: Option<(usize, f64)> = None;
         for neighbour in 0..81 {
             let cell = std::array::from_fn(|axis| center[axis] + (neighbour / 3_i64.pow(axis as u32)) % 3 - 1);
-            for &place in self.cells.get(&cell).map_or(&[] as &[usize], Vec::as_slice) {
-                let Some(other) = all.get(place) else { continue };
+            for (place, other) in self.cells.get(&cell).into_iter().flatten() {
                 let limit = best.map_or(self.limit, |(_, distance)| distance.next_up());
-                if let Some(distance) = own.path.distance(&other.path, limit)
-                    && best.is_none_or(|(earlier, nearest)| (distance, place) < (nearest, earlier))
+                if let Some(distance) = own.distance(other, limit)
+                    && best.is_none_or(|(earlier, nearest)| (distance, *place) < (nearest, earlier))
                 {
-                    best = Some((place, distance));
+                    best = Some((*place, distance));
                 }
             }
         }
@@ -240,8 +317,8 @@ mod tests {
                 let expected = (0..place)
                     .filter_map(|other| Some((other, own.path.distance(&all[other].path, limit)?)))
                     .min_by(|a, b| a.1.total_cmp(&b.1));
-                assert_eq!(grid.nearest(own, &all), expected, "{limit} {place}");
-                grid.insert(place, own);
+                assert_eq!(grid.nearest(&own.path), expected, "{limit} {place}");
+                grid.insert(place, &own.path);
             }
         }
     }

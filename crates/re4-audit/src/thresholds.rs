@@ -6,10 +6,11 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::Vector3;
 
 use crate::actions::ActionFit;
-use crate::checks::{Basis, Check, ENOUGH, Need};
+use crate::checks::{Basis, Check, ENOUGH, Need, find};
 use crate::config::AuditConfig;
-use crate::copies::{Path, nearest_distances};
+use crate::copies::{Neighbours, Path};
 use crate::list::CHECKS;
+use crate::observed::{ThresholdRow, UsualRow};
 use re4_task::Domain;
 
 use re4_stats::{median, quantile, robust_deviation, sorted};
@@ -26,6 +27,8 @@ pub enum Origin {
 }
 
 impl Origin {
+    const ALL: [Self; 3] = [Self::Data, Self::Setting, Self::Default];
+
     /// The word used in tables.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -86,14 +89,11 @@ pub struct Usual {
 impl Usual {
     /// The medians over the demonstrations whose actions explain most of the motion, or why there are none: these demonstrations are
     /// too few, or fewer than half of all.
-    fn of(observations: &[Observation]) -> Result<Self, &'static str> {
-        let all = observations
-            .iter()
-            .filter_map(|observation| observation.response.as_ref());
-        let explained: Vec<&ActionFit> = all.clone().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
+    fn of(all: &[ActionFit]) -> Result<Self, &'static str> {
+        let explained: Vec<&ActionFit> = all.iter().filter(|fit| fit.correlation.powi(2) > 0.5).collect();
         const { assert!(ENOUGH == 8, "the sentence has the number") };
         let few = "fewer than 8 demonstrations have actions that explain most of their motion";
-        match (explained.len(), all.count()) {
+        match (explained.len(), all.len()) {
             (_, 0) => return Err("no actions are known to command the motion, or nothing moves"),
             (count, _) if count < ENOUGH => return Err(few),
             (count, all) if 2 * count <= all => {
@@ -184,70 +184,16 @@ impl Thresholds {
 
     /// Derives the thresholds from the first pass over all demonstrations of a dataset.
     pub fn of(observations: &[Observation], config: &AuditConfig, dataset: &Dataset) -> Self {
-        let planar = dataset.domain == Domain::Plane;
-        let usual_end = usual_end(observations);
-        let mut values: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+        let mut survey = Survey::default();
+        let mut neighbours = Neighbours::new(observations.len());
         for observation in observations {
-            for &(code, value) in &observation.values {
-                values.entry(code).or_default().push(value);
-            }
-            if let Some(end) = usual_end {
-                let distance = (observation.last_object - end).norm();
-                values.entry("early_release").or_default().push(distance);
-            }
+            survey.add(observation);
+            neighbours.sample(observation);
         }
-        let usual_response = Usual::of(observations);
-        if let Ok(usual) = usual_response {
-            let fits = observations
-                .iter()
-                .filter_map(|observation| observation.response.as_ref());
-            for (code, value) in fits.flat_map(|fit| fit.values(&usual)) {
-                values.entry(code).or_default().push(value);
-            }
+        for observation in observations {
+            neighbours.compare(observation);
         }
-        values.insert("near_duplicate", nearest_distances(observations));
-        let middle = |code| values.get(code).and_then(|values| median(values)).unwrap_or_default();
-        let top_speed = (middle("discontinuity_eef"), middle("discontinuity_rotation"));
-        let lengths: Vec<f64> = observations.iter().map(|o| f64::from(o.frames)).collect();
-        let rewards = observations.iter().any(|o| o.rewarded == Some(true));
-        let length_deviation = robust_deviation(&lengths).unwrap_or(0.0);
-        // Checks whose measure does not exist in this dataset.
-        let unmeasured = |check: &Check| match check.code {
-            _ if dataset.lacks(check).is_some() => dataset.lacks(check),
-            "ends_before_success" | "success_lost" if !planar && !rewards => {
-                Some("no demonstration has a reward above 0")
-            }
-            "outlier_length" if length_deviation == 0.0 => Some("most demonstrations have the same number of frames"),
-            "reversed" | "actions_opposed" | "actions_scaled" | "actions_shifted" | "actions_unrelated" => {
-                usual_response.err()
-            }
-            _ => None,
-        };
-        let by_code = CHECKS
-            .iter()
-            .filter(|check| check.applies_to(dataset.domain))
-            .map(|check| {
-                let observed = values.get(check.code).map_or(&[] as &[f64], Vec::as_slice);
-                let threshold = match (config.threshold(check.code), unmeasured(check)) {
-                    (_, Some(why)) if dataset.lacks(check).is_some() => not_made(why),
-                    (Some(value), _) => set(check, value),
-                    (None, Some(why)) => not_made(why),
-                    (None, None) => derive(check, observed, dataset),
-                };
-                (check.code, threshold)
-            })
-            .collect();
-        Self {
-            domain: dataset.domain,
-            by_code,
-            usual_end,
-            usual_length: median(&lengths).unwrap_or(0.0),
-            length_deviation,
-            rewards,
-            usual_response: usual_response.ok(),
-            top_speed,
-            recorded_goals: true,
-        }
+        survey.thresholds(neighbours, config, dataset)
     }
 
     /// States whether absolute actions were recorded. Otherwise, seams of goals are not reported.
@@ -255,6 +201,54 @@ impl Thresholds {
     pub fn with_recorded_goals(mut self, recorded: bool) -> Self {
         self.recorded_goals = recorded;
         self
+    }
+
+    /// The rows of tables `thresholds` and `usual`.
+    pub fn to_rows(&self) -> (Vec<ThresholdRow>, UsualRow) {
+        let rows = self.by_code.iter().map(|(code, threshold)| ThresholdRow {
+            code: (*code).into(),
+            threshold: threshold.value,
+            origin: threshold.origin.as_str().into(),
+            derivation: threshold.derivation.clone(),
+            made: threshold.made,
+        });
+        let usual = UsualRow {
+            last_object: self.usual_end.map(Into::into),
+            frames: self.usual_length,
+            frames_deviation: self.length_deviation,
+            rewards: self.rewards,
+            lag: self.usual_response.map(|usual| usual.lag),
+            gain: self.usual_response.map(|usual| usual.gain),
+            largest_step: self.top_speed.0,
+            largest_rotation: self.top_speed.1,
+            recorded_goals: self.recorded_goals,
+        };
+        (rows.collect(), usual)
+    }
+
+    /// The thresholds of a dataset in SE(3), from their rows. `None` if a row names no check or no origin of this build.
+    pub fn from_rows(rows: Vec<ThresholdRow>, usual: &UsualRow) -> Option<Self> {
+        let threshold = |row: ThresholdRow| {
+            let origin = Origin::ALL.into_iter().find(|origin| origin.as_str() == &*row.origin)?;
+            let threshold = Threshold {
+                value: row.threshold,
+                origin,
+                derivation: row.derivation,
+                made: row.made,
+            };
+            Some((find(&row.code)?.code, threshold))
+        };
+        Some(Self {
+            domain: Domain::Space,
+            by_code: rows.into_iter().map(threshold).collect::<Option<_>>()?,
+            usual_end: usual.last_object.map(Into::into),
+            usual_length: usual.frames,
+            length_deviation: usual.frames_deviation,
+            rewards: usual.rewards,
+            usual_response: usual.lag.zip(usual.gain).map(|(lag, gain)| Usual { lag, gain }),
+            top_speed: (usual.largest_step, usual.largest_rotation),
+            recorded_goals: usual.recorded_goals,
+        })
     }
 
     /// The kind of the demonstrations.
@@ -292,9 +286,96 @@ impl Thresholds {
     }
 }
 
+/// What thresholds depend on, of observations that are added one at a time: about 250 bytes of each demonstration.
+#[derive(Debug, Default)]
+pub struct Survey {
+    values: BTreeMap<&'static str, Vec<f64>>,
+    ends: Vec<Vector3<f64>>,
+    lengths: Vec<f64>,
+    rewards: bool,
+    responses: Vec<ActionFit>,
+}
+
+impl Survey {
+    /// Adds a demonstration.
+    pub fn add(&mut self, observation: &Observation) {
+        for &(code, value) in &observation.values {
+            self.values.entry(code).or_default().push(value);
+        }
+        self.ends.push(observation.last_object);
+        self.lengths.push(f64::from(observation.frames));
+        self.rewards |= observation.rewarded == Some(true);
+        self.responses.extend(observation.response.clone());
+    }
+
+    /// Derives the thresholds. The neighbours have been compared with all demonstrations.
+    pub fn thresholds(self, neighbours: Neighbours, config: &AuditConfig, dataset: &Dataset) -> Thresholds {
+        let Self {
+            mut values,
+            ends,
+            lengths,
+            rewards,
+            responses,
+        } = self;
+        let planar = dataset.domain == Domain::Plane;
+        let usual_end = usual_end(&ends);
+        if let Some(end) = usual_end {
+            let distances = ends.iter().map(|last| (last - end).norm());
+            values.entry("early_release").or_default().extend(distances);
+        }
+        let usual_response = Usual::of(&responses);
+        if let Ok(usual) = usual_response {
+            for (code, value) in responses.iter().flat_map(|fit| fit.values(&usual)) {
+                values.entry(code).or_default().push(value);
+            }
+        }
+        values.insert("near_duplicate", neighbours.distances());
+        let middle = |code| values.get(code).and_then(|values| median(values)).unwrap_or_default();
+        let top_speed = (middle("discontinuity_eef"), middle("discontinuity_rotation"));
+        let length_deviation = robust_deviation(&lengths).unwrap_or(0.0);
+        // Checks whose measure does not exist in this dataset.
+        let unmeasured = |check: &Check| match check.code {
+            _ if dataset.lacks(check).is_some() => dataset.lacks(check),
+            "ends_before_success" | "success_lost" if !planar && !rewards => {
+                Some("no demonstration has a reward above 0")
+            }
+            "outlier_length" if length_deviation == 0.0 => Some("most demonstrations have the same number of frames"),
+            "reversed" | "actions_opposed" | "actions_scaled" | "actions_shifted" | "actions_unrelated" => {
+                usual_response.err()
+            }
+            _ => None,
+        };
+        let by_code = CHECKS
+            .iter()
+            .filter(|check| check.applies_to(dataset.domain))
+            .map(|check| {
+                let observed = values.get(check.code).map_or(&[] as &[f64], Vec::as_slice);
+                let threshold = match (config.threshold(check.code), unmeasured(check)) {
+                    (_, Some(why)) if dataset.lacks(check).is_some() => not_made(why),
+                    (Some(value), _) => set(check, value),
+                    (None, Some(why)) => not_made(why),
+                    (None, None) => derive(check, observed, dataset),
+                };
+                (check.code, threshold)
+            })
+            .collect();
+        Thresholds {
+            domain: dataset.domain,
+            by_code,
+            usual_end,
+            usual_length: median(&lengths).unwrap_or(0.0),
+            length_deviation,
+            rewards,
+            usual_response: usual_response.ok(),
+            top_speed,
+            recorded_goals: true,
+        }
+    }
+}
+
 /// Returns the median of the final object positions, coordinate by coordinate.
-fn usual_end(observations: &[Observation]) -> Option<Vector3<f64>> {
-    let coordinate = |axis: usize| median(&observations.iter().map(|o| o.last_object[axis]).collect::<Vec<_>>());
+fn usual_end(ends: &[Vector3<f64>]) -> Option<Vector3<f64>> {
+    let coordinate = |axis: usize| median(&ends.iter().map(|end| end[axis]).collect::<Vec<_>>());
     Some(Vector3::new(coordinate(0)?, coordinate(1)?, coordinate(2)?))
 }
 

@@ -51,6 +51,8 @@ pub(crate) enum Command {
     Ingest(StageArguments),
     /// Label the manipulation modes of the demonstrations; writes the `modes` and `audit` artifacts
     Segment(StageArguments),
+    /// Measure the demonstrations, for the audit of more than 256; writes the `observations` artifact
+    Observe(StageArguments),
     /// Check the demonstrations and their modes for errors; writes the `audit` artifact
     Audit(AuditArguments),
     /// Calibrate or train the pose estimator and estimate poses from images; writes the `poses` artifact
@@ -243,11 +245,6 @@ pub(crate) struct RolledArguments {
 }
 
 impl RolledArguments {
-    /// Reads the pipeline and applies the overrides. `share` is what this process makes of an artifact in parts.
-    pub(crate) fn runner_sharing(&self, share: Share, stage: &StageArguments) -> Result<Runner> {
-        stage.runner_sharing(share, &self.overrides())
-    }
-
     /// Reads the pipeline and applies the overrides.
     pub(crate) fn runner(&self, stage: &StageArguments) -> Result<Runner> {
         stage.runner(&self.overrides())

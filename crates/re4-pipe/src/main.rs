@@ -42,6 +42,7 @@ fn main() -> ExitCode {
     let outcome = match arguments.command {
         Command::Ingest(arguments) => commands::run::ingest(&arguments),
         Command::Segment(arguments) => commands::run::segment(&arguments),
+        Command::Observe(arguments) => commands::run::observe(&arguments),
         Command::Audit(arguments) => commands::audit::audit(&arguments),
         Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
         Command::Train(arguments) => commands::run::train(&arguments),

@@ -15,7 +15,7 @@ pub const NEIGHBOURS: [usize; 3] = [5, 6, 7];
 pub const REFERENCE: usize = 8192;
 
 /// State and action of a chunk.
-pub(crate) type Chunk = [[f32; FEATURES]; 2];
+pub type Chunk = [[f32; FEATURES]; 2];
 
 const JOINT: usize = 2 * FEATURES;
 
@@ -31,20 +31,21 @@ const JOINT: usize = 2 * FEATURES;
 /// that differ, have a high value. `None` for a demonstration without chunks, and for all if there are fewer than 9 chunks.
 pub fn information(demos: &[&[Chunk]]) -> Vec<Option<f64>> {
     let all: Vec<&Chunk> = demos.iter().copied().flatten().collect();
-    let none = || vec![None; demos.len()];
-    let Some(space) = Space::over(&all) else {
-        return none();
+    let chosen: Vec<Chunk> = reference(all.len()).map(|place| *all[place]).collect();
+    let Some(space) = Space::over(&chosen) else {
+        return vec![None; demos.len()];
     };
-    let value = |demo: &&[Chunk]| {
-        let parts: Option<Vec<f64>> = demo.iter().map(|chunk| space.contribution(chunk)).collect();
-        let parts = parts?;
-        (!parts.is_empty()).then(|| parts.iter().sum::<f64>() / parts.len() as f64)
-    };
-    demos.par_iter().map(value).collect()
+    demos.par_iter().map(|demo| space.mean_contribution(demo)).collect()
+}
+
+/// The places, in the order of all chunks, of those that others are compared with.
+pub fn reference(chunks: usize) -> impl Iterator<Item = usize> {
+    let count = chunks.min(REFERENCE);
+    (0..count).map(move |number| number * chunks / count)
 }
 
 /// The chunks that others are compared with, standardised.
-struct Space {
+pub(crate) struct Space {
     means: [f64; JOINT],
     scales: [f64; JOINT],
     joint: ImmutableKdTree<f64, JOINT>,
@@ -54,15 +55,14 @@ struct Space {
 }
 
 impl Space {
-    fn over(all: &[&Chunk]) -> Option<Self> {
+    /// The space of the chosen chunks; `None` if they are too few.
+    pub(crate) fn over(chosen: &[Chunk]) -> Option<Self> {
         let most = NEIGHBOURS.into_iter().max().unwrap_or(1);
-        if all.len() < most + 2 {
+        let count = chosen.len();
+        if count < most + 2 {
             return None;
         }
-        let count = all.len().min(REFERENCE);
-        let chosen: Vec<[f64; JOINT]> = (0..count)
-            .map(|number| joint(all[number * all.len() / count]))
-            .collect();
+        let chosen: Vec<[f64; JOINT]> = chosen.iter().map(joint).collect();
         let mean = |at: usize| chosen.iter().map(|point| point[at]).sum::<f64>() / count as f64;
         let means: [f64; JOINT] = std::array::from_fn(mean);
         let scales: [f64; JOINT] = std::array::from_fn(|at| {
@@ -82,6 +82,13 @@ impl Space {
             scales,
             count,
         })
+    }
+
+    /// The mean contribution of the chunks of a demonstration; `None` if it has no chunks.
+    pub(crate) fn mean_contribution(&self, demo: &[Chunk]) -> Option<f64> {
+        let parts: Option<Vec<f64>> = demo.iter().map(|chunk| self.contribution(chunk)).collect();
+        let parts = parts?;
+        (!parts.is_empty()).then(|| parts.iter().sum::<f64>() / parts.len() as f64)
     }
 
     fn contribution(&self, chunk: &Chunk) -> Option<f64> {

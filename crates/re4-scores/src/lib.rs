@@ -3,6 +3,7 @@
 //!
 //! [`Sketch::of`] reduces a demonstration to the scores that depend on it alone and to a few kilobytes for the scores that compare
 //! it with the others, so demonstrations are read once and not held in memory. [`score`] makes the rows of the table.
+//! [`Others`] and [`rank`] do the same if sketches are read one at a time.
 
 mod envelope;
 mod information;
@@ -14,10 +15,10 @@ mod smoothness;
 mod tables;
 
 pub use envelope::envelope_distance;
-pub use information::{NEIGHBOURS, REFERENCE, information};
+pub use information::{Chunk, NEIGHBOURS, REFERENCE, information, reference};
 pub use motion::{Motion, chunks, idle_share, path_efficiency, regrasps};
 pub use novelty::{Descriptor, describe, nearest};
 pub use ranks::{correlation, ranks};
-pub use sketch::{Sketch, score};
+pub use sketch::{Others, Sketch, rank, score};
 pub use smoothness::{log_dimensionless_jerk, spectral_arc_length};
-pub use tables::{Better, KINDS, Kind, Ranks, ScoreRow, Scores};
+pub use tables::{Better, KINDS, Kind, PathRow, Ranks, ReferenceRow, ScoreRow, Scores, SketchRow};

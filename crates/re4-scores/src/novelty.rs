@@ -52,6 +52,17 @@ pub fn describe(motion: &Motion) -> Option<Descriptor> {
 }
 
 impl Descriptor {
+    /// The coordinates of all positions.
+    pub(crate) fn coordinates(&self) -> Vec<f32> {
+        self.0.as_flattened().to_vec()
+    }
+
+    /// The descriptor with these coordinates. `None` if there are more or fewer.
+    pub(crate) fn of_coordinates(coordinates: &[f32]) -> Option<Self> {
+        let (knots, rest) = coordinates.as_chunks();
+        rest.is_empty().then(|| knots.try_into().ok().map(Self)).flatten()
+    }
+
     /// Root mean square distance of the positions of end effector and object.
     fn distance(&self, other: &Self) -> f64 {
         let squares = self.0.iter().flatten().zip(other.0.iter().flatten());
@@ -72,35 +83,50 @@ impl Descriptor {
     }
 }
 
-/// For each demonstration, the nearest other one and its distance: the root mean square distance of the positions of end effector
-/// and object, at equal lengths along the path. In the unit of the motion. `None` if there is no other demonstration.
+/// Descriptors, among which the nearest to one of them is found.
 ///
 /// A tree over the means of both halves of the paths gives lower bounds, so the result is exact.
-pub fn nearest(demos: &[Descriptor]) -> Vec<Option<(usize, f64)>> {
-    let coarse: Vec<[f64; COARSE]> = demos.iter().map(Descriptor::coarse).collect();
-    let Ok(tree) = ImmutableKdTree::new_from_slice(&coarse) else {
-        return vec![None; demos.len()];
-    };
-    let find = |(own, demo): (usize, &Descriptor)| {
+pub(crate) struct Paths {
+    demos: Vec<Descriptor>,
+    tree: Option<ImmutableKdTree<f64, COARSE>>,
+}
+
+impl Paths {
+    pub(crate) fn new(demos: Vec<Descriptor>) -> Self {
+        let coarse: Vec<[f64; COARSE]> = demos.iter().map(Descriptor::coarse).collect();
+        let tree = ImmutableKdTree::new_from_slice(&coarse).ok();
+        Self { demos, tree }
+    }
+
+    /// The nearest other one to the descriptor at this place, and its distance. `None` if there is no other.
+    pub(crate) fn nearest(&self, own: usize) -> Option<(usize, f64)> {
+        let (tree, demo) = (self.tree.as_ref()?, self.demos.get(own)?);
+        let coarse = demo.coarse();
         let mut count = 16;
         loop {
-            let taken = count.min(demos.len());
+            let taken = count.min(self.demos.len());
             let hits = tree
-                .query(&coarse[own])
+                .query(&coarse)
                 .nearest_n::<SquaredEuclidean<f64>>(NonZeroUsize::new(taken)?);
             let hits = hits.execute();
             let others = hits.iter().map(|hit| hit.item as usize).filter(|&other| other != own);
             let best = others
-                .map(|other| (other, demo.distance(&demos[other])))
+                .map(|other| (other, demo.distance(&self.demos[other])))
                 .min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
             let farthest = hits.iter().map(|hit| hit.distance).fold(0.0, f64::max);
             // A margin for rounding: means are sums of rounded numbers.
             let bound = (farthest / PARTS as f64).sqrt() * (1.0 - 1e-6) - 1e-9;
-            if taken == demos.len() || best.is_some_and(|(_, distance)| distance < bound) {
+            if taken == self.demos.len() || best.is_some_and(|(_, distance)| distance < bound) {
                 return best;
             }
             count *= 4;
         }
-    };
-    demos.par_iter().enumerate().map(find).collect()
+    }
+}
+
+/// For each demonstration, the nearest other one and its distance: the root mean square distance of the positions of end effector
+/// and object, at equal lengths along the path. In the unit of the motion. `None` if there is no other demonstration.
+pub fn nearest(demos: &[Descriptor]) -> Vec<Option<(usize, f64)>> {
+    let paths = Paths::new(demos.to_vec());
+    (0..demos.len()).into_par_iter().map(|own| paths.nearest(own)).collect()
 }

@@ -1,12 +1,14 @@
 //! From demonstrations to rows of the table.
 
 use crate::envelope::envelope_distance;
-use crate::information::{Chunk, information};
-use crate::motion::{Motion, chunks, idle_share, path_efficiency, regrasps};
-use crate::novelty::{Descriptor, describe, nearest};
+use rayon::prelude::*;
+
+use crate::information::{Chunk, Space, reference};
+use crate::motion::{FEATURES, Motion, chunks, idle_share, path_efficiency, regrasps};
+use crate::novelty::{Descriptor, Paths, describe};
 use crate::ranks::ranks;
 use crate::smoothness::{log_dimensionless_jerk, spectral_arc_length};
-use crate::tables::{Better, KINDS, Ranks, ScoreRow, Scores};
+use crate::tables::{Better, KINDS, PathRow, Ranks, ScoreRow, Scores, SketchRow};
 
 /// What is kept of a demonstration: its own scores and what the comparison with others needs, at most about 4 kB.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,31 +47,111 @@ impl Sketch {
     }
 }
 
-/// Scores the demonstrations, in the order of the sketches.
-pub fn score(sketches: &[Sketch]) -> Vec<ScoreRow> {
-    let chunks: Vec<&[Chunk]> = sketches.iter().map(|sketch| &*sketch.chunks).collect();
-    let informations = information(&chunks);
-    let described: Vec<usize> = (0..sketches.len()).filter(|&at| sketches[at].path.is_some()).collect();
-    let paths: Vec<Descriptor> = sketches.iter().filter_map(|sketch| sketch.path.clone()).collect();
-    let mut novelties = vec![None; sketches.len()];
-    for (&at, found) in described.iter().zip(nearest(&paths)) {
-        novelties[at] = found.map(|(other, distance)| (sketches[described[other]].episode, distance));
+impl Sketch {
+    /// Number of the demonstration.
+    pub fn episode(&self) -> u32 {
+        self.episode
     }
-    let mut rows: Vec<ScoreRow> = sketches
-        .iter()
-        .zip(informations.into_iter().zip(novelties))
-        .map(|(sketch, (information, novelty))| ScoreRow {
+
+    /// Number of its chunks.
+    pub fn chunks(&self) -> usize {
+        self.chunks.len()
+    }
+
+    /// Its row in table `sketches`.
+    pub fn to_row(&self) -> SketchRow {
+        SketchRow {
+            episode: self.episode,
+            scores: self.scores,
+            chunks: self.chunks.as_flattened().as_flattened().to_vec(),
+        }
+    }
+
+    /// Its row in table `paths`; `None` if it has no frames.
+    pub fn to_path_row(&self) -> Option<PathRow> {
+        Some(PathRow {
+            episode: self.episode,
+            knots: self.path.as_ref()?.coordinates(),
+        })
+    }
+
+    /// The sketch of a row, without its path. `None` if the row has a part of a chunk.
+    pub fn from_row(row: &SketchRow) -> Option<Self> {
+        Some(Self {
+            episode: row.episode,
+            scores: row.scores,
+            chunks: row.chunks()?,
+            path: None,
+        })
+    }
+}
+
+impl SketchRow {
+    /// The chunks. `None` if the row has a part of one.
+    pub fn chunks(&self) -> Option<Vec<Chunk>> {
+        let (halves, rest) = self.chunks.as_chunks::<FEATURES>();
+        let (chunks, half) = halves.as_chunks::<2>();
+        (rest.is_empty() && half.is_empty()).then(|| chunks.to_vec())
+    }
+}
+
+/// What demonstrations are compared with: chunks of a sample, and the paths of all.
+pub struct Others {
+    space: Option<Space>,
+    /// Numbers of the demonstrations with a path, ascending.
+    described: Vec<u32>,
+    paths: Paths,
+}
+
+impl Others {
+    /// `reference` are the chunks at the places of [`reference`](crate::reference), `paths` those of all demonstrations, by number.
+    /// `None` if a row has more or fewer positions than a path.
+    pub fn new(reference: &[Chunk], paths: impl IntoIterator<Item = PathRow>) -> Option<Self> {
+        let (mut described, mut all) = (Vec::new(), Vec::new());
+        for row in paths {
+            described.push(row.episode);
+            all.push(Descriptor::of_coordinates(&row.knots)?);
+        }
+        Some(Self::of(reference, described, all))
+    }
+
+    fn of(reference: &[Chunk], described: Vec<u32>, paths: Vec<Descriptor>) -> Self {
+        Self {
+            space: Space::over(reference),
+            described,
+            paths: Paths::new(paths),
+        }
+    }
+
+    /// The row of a demonstration, without ranks and quality.
+    pub fn score(&self, sketch: &Sketch) -> ScoreRow {
+        let place = self.described.binary_search(&sketch.episode).ok();
+        let nearest = place.and_then(|place| self.paths.nearest(place));
+        let space = self.space.as_ref();
+        ScoreRow {
             episode: sketch.episode,
             quality: None,
             scores: Scores {
-                information,
-                novelty: novelty.map(|(_, distance)| distance),
+                information: space.and_then(|space| space.mean_contribution(&sketch.chunks)),
+                novelty: nearest.map(|(_, distance)| distance),
                 ..sketch.scores
             },
             rank: NO_RANKS,
-            nearest: novelty.map(|(other, _)| other),
-        })
-        .collect();
+            nearest: nearest.and_then(|(other, _)| self.described.get(other).copied()),
+        }
+    }
+}
+
+/// Scores the demonstrations, in the order of the sketches, which is that of their numbers.
+pub fn score(sketches: &[Sketch]) -> Vec<ScoreRow> {
+    let all: Vec<&Chunk> = sketches.iter().flat_map(|sketch| &sketch.chunks).collect();
+    let chosen: Vec<Chunk> = reference(all.len()).map(|place| *all[place]).collect();
+    let (described, paths) = sketches
+        .iter()
+        .filter_map(|sketch| Some((sketch.episode, sketch.path.clone()?)))
+        .unzip();
+    let others = Others::of(&chosen, described, paths);
+    let mut rows: Vec<ScoreRow> = sketches.par_iter().map(|sketch| others.score(sketch)).collect();
     rank(&mut rows);
     rows
 }
@@ -86,8 +168,8 @@ const NO_RANKS: Ranks = Ranks {
     novelty: None,
 };
 
-/// Fills in the ranks and the quality.
-fn rank(rows: &mut [ScoreRow]) {
+/// Fills in the ranks and the quality of the rows of all demonstrations.
+pub fn rank(rows: &mut [ScoreRow]) {
     let mut sums = vec![(0.0, 0_u32); rows.len()];
     for kind in KINDS {
         let values: Vec<_> = rows.iter().map(|row| (kind.value)(&row.scores)).collect();

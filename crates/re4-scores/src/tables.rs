@@ -77,6 +77,44 @@ table! {
     }
 }
 
+table! {
+    /// One row per demonstration with a gripper: its own scores, and what the score information compares. Sorted by episode.
+    #[table("sketches", version = 1)]
+    pub struct SketchRow {
+        /// Number of the demonstration, from 0.
+        pub episode: u32,
+        /// The scores that depend on the demonstration alone; information and novelty are null.
+        #[prefix = ""]
+        pub scores: Scores,
+        /// Up to 64 chunks of 14 numbers, chunk after chunk: position of the end effector in m, of the object relative to it in m, distance of
+        /// the fingers in m, then the sum of the actions of 0.4 s. World frame.
+        pub chunks: Vec<f32>,
+    }
+}
+
+table! {
+    /// One row per demonstration: its path, which the score novelty compares. Sorted by episode.
+    #[table("paths", version = 1)]
+    pub struct PathRow {
+        /// Number of the demonstration, from 0.
+        pub episode: u32,
+        /// 16 positions of end effector and object in m, world frame, at equal lengths along the path of both: x, y, z of the end effector, then
+        /// of the object, position after position.
+        pub knots: Vec<f32>,
+    }
+}
+
+table! {
+    /// One row per chunk that the chunks of all demonstrations are compared with for the score information, evenly spaced over all.
+    #[table("reference", version = 1)]
+    pub struct ReferenceRow {
+        /// Number of the demonstration, from 0.
+        pub episode: u32,
+        /// The chunk: 14 numbers as in table sketches.
+        pub chunk: Vec<f32>,
+    }
+}
+
 /// Which values of a score are better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Better {

@@ -37,14 +37,20 @@ impl Runner {
     pub fn stages(&self) -> Result<Vec<Stage>> {
         let mut stages = vec![Stage::Ingest, Stage::Segment];
         let pipeline = &self.pipeline;
+        let audit = [Stage::Observe, Stage::Audit];
+        let audit = if pipeline.task.domain() == Domain::Space {
+            &audit[..]
+        } else {
+            &audit[1..]
+        };
         if pipeline.rollout.is_none() {
-            stages.push(Stage::Audit);
+            stages.extend(audit);
             return Ok(stages);
         }
         if pipeline.pose()?.source != PoseSource::Recorded {
             stages.push(Stage::TrainPose);
         } else if pipeline.task.domain() == Domain::Space && !pipeline.index()?.leave_out.is_empty() {
-            stages.push(Stage::Audit);
+            stages.extend(audit);
         }
         stages.extend(pipeline.policy()?.inputs());
         if pipeline.scenes.is_some() {
@@ -63,6 +69,11 @@ impl Runner {
         match stage {
             Stage::Ingest => self.ingest(),
             Stage::Segment => self.segment(&self.ingest()?),
+            Stage::Observe => {
+                let episodes = self.ingest()?;
+                let modes = self.segment(&episodes)?;
+                self.observe(&episodes, &modes)
+            }
             Stage::Audit => {
                 let episodes = self.ingest()?;
                 let modes = self.segment(&episodes)?;
@@ -104,6 +115,10 @@ impl Runner {
         let mut open = true;
         let mut demos = None;
         for stage in self.stages()? {
+            // One process audits the demonstrations of one part, without this stage.
+            if stage == Stage::Observe && demos == Some(1) {
+                continue;
+            }
             let looked = if open { Some(self.looking(stage)?) } else { None };
             let of = match looked {
                 Some(Ok(built)) => PlannedStage {
@@ -162,8 +177,8 @@ impl Runner {
     /// Number of parts of an artifact whose inputs do not exist yet.
     fn parts_expected(&self, stage: Stage, of_demos: Option<u32>) -> Result<Option<u32>> {
         Ok(match stage {
-            Stage::Segment => of_demos,
-            Stage::Index if !self.pipeline.task.is_planar() => of_demos,
+            Stage::Segment | Stage::Observe => of_demos,
+            Stage::Audit | Stage::Index if !self.pipeline.task.is_planar() => of_demos,
             Stage::Rollout => self.parts_of_rollouts()?,
             _ => Some(1),
         })

@@ -263,7 +263,7 @@ impl Session {
         recipe: &Recipe,
         parts: u32,
         make: impl Fn(&Writer, u32) -> Result<ArtifactSummary>,
-        finish: impl Fn(&[Artifact], &Writer) -> Result<ArtifactSummary>,
+        finish: impl FnOnce(&mut [Artifact], &Writer) -> Result<ArtifactSummary>,
     ) -> Result<Built> {
         let start = Instant::now();
         let _span = info_span!("stage", name = recipe.stage().as_str()).entered();

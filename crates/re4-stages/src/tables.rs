@@ -1,7 +1,10 @@
 //! The tables of all artifacts.
 
 use re4_artifact::{Artifact, ArtifactError, Row as _, Stage, TableSpec};
-use re4_audit::{AuditedEpisodeRow, CheckRow, FindingRow, GraspRow, RuleAgreementRow};
+use re4_audit::{
+    AuditedEpisodeRow, CheckRow, CopyRow, FindingRow, GraspRow, MeasuredRow, ObservationRow, RuleAgreementRow,
+    ThresholdRow, UsualRow,
+};
 use re4_compare::{CellRow, CurveRow, DifferenceRow};
 use re4_index::{IndexRow, PlanarState, ScaleRow, SpatialState};
 use re4_influence::{CuratedRow, InfluenceRow, JudgedEpisodeRow, JudgedRow, PairRow, RoundRow};
@@ -12,7 +15,7 @@ use re4_ingest::{
 use re4_policy::{Chunk, kinds};
 use re4_pose::{AnchorRow, Estimate, LabelRow, PoseErrorRow, PoseRow, SpatialEstimate, TrainingRow};
 use re4_scenes::SceneRow;
-use re4_scores::ScoreRow;
+use re4_scores::{PathRow, ReferenceRow, ScoreRow, SketchRow};
 use re4_segment::{
     ArmEvidence, ArmSegment, Evidence, ModeRow, SegmentRow, SegmentSummary, SpatialEvidence, SpatialSegment,
 };
@@ -46,6 +49,16 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
             SegmentRow::<SegmentSummary>::table(),
             SegmentRow::<SpatialSegment>::table(),
             SegmentRow::<ArmSegment>::table(),
+        ],
+        Stage::Observe => vec![
+            ObservationRow::table(),
+            MeasuredRow::table(),
+            SketchRow::table(),
+            PathRow::table(),
+            ThresholdRow::table(),
+            UsualRow::table(),
+            CopyRow::table(),
+            ReferenceRow::table(),
         ],
         Stage::Audit => vec![
             FindingRow::table(),
@@ -206,6 +219,6 @@ mod tests {
                 );
             }
         }
-        assert_eq!(names.len(), 66);
+        assert_eq!(names.len(), 74);
     }
 }

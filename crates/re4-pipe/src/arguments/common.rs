@@ -13,6 +13,7 @@ impl Command {
         match self {
             Self::Ingest(stage)
             | Self::Segment(stage)
+            | Self::Observe(stage)
             | Self::TrainPose(stage)
             | Self::Train(TrainArguments { stage, .. })
             | Self::Index(stage)

@@ -13,6 +13,7 @@ use super::{Common, RolledArguments, StageArguments};
 pub(crate) enum StageArgument {
     Ingest,
     Segment,
+    Observe,
     Audit,
     TrainPose,
     Index,
@@ -26,6 +27,7 @@ impl From<StageArgument> for Stage {
         match stage {
             StageArgument::Ingest => Self::Ingest,
             StageArgument::Segment => Self::Segment,
+            StageArgument::Observe => Self::Observe,
             StageArgument::Audit => Self::Audit,
             StageArgument::TrainPose => Self::TrainPose,
             StageArgument::Index => Self::Index,

@@ -12,6 +12,9 @@ use crate::arguments::{AuditArguments, FailOn, StageArguments};
 use crate::console::Console;
 use crate::output::Output;
 
+/// The audit reports unusable demonstrations instead of refusing the dataset.
+pub(crate) const LEAVE_OUT: &str = "ingest.on_bad=leave_out";
+
 /// `re4-pipe audit`.
 pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.stage.common);
@@ -21,10 +24,7 @@ pub(crate) fn audit(arguments: &AuditArguments) -> Result<Outcome> {
         .as_deref()
         .map(|path| Output::at(path, "page"))
         .transpose()?;
-    // The audit reports unusable demonstrations instead of refusing the dataset.
-    let runner = arguments
-        .stage
-        .runner_of(Stage::Audit, &["ingest.on_bad=leave_out".to_owned()])?;
+    let runner = arguments.stage.runner_of(Stage::Audit, &[LEAVE_OUT.to_owned()])?;
     if let Some(page) = &page {
         page.refuse_inputs(&runner.inputs()?)?;
     }

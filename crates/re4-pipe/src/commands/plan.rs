@@ -10,6 +10,7 @@ use re4_stages::{Group, HashedFile, Notes, Plan, PlannedStage, Runner, Settings,
 use serde_json::json;
 
 use super::Outcome;
+use super::audit::LEAVE_OUT;
 use crate::arguments::{MergeArguments, PlanArguments, StageArguments, StatusArguments};
 use crate::console::Console;
 
@@ -21,7 +22,11 @@ pub(crate) fn merge(arguments: &MergeArguments) -> Result<Outcome> {
         arguments.stage.shard.is_none(),
         "--shard does not apply to merge, which publishes the whole artifact"; "remove it"
     );
-    let runner = arguments.rolled.runner_sharing(Share::Merge(stage), &arguments.stage)?;
+    let mut overrides = arguments.rolled.overrides();
+    if matches!(stage, Stage::Observe | Stage::Audit) {
+        overrides.push(LEAVE_OUT.to_owned());
+    }
+    let runner = arguments.stage.runner_sharing(Share::Merge(stage), &overrides)?;
     let built = runner.artifact_of(stage)?;
     super::run::answer(console, &runner, &built)
 }

@@ -15,6 +15,7 @@ use re4_report::{Findings, divergence_plot};
 use re4_rollout::PlaneResultRow;
 use serde_json::{Value, json};
 
+use super::audit::LEAVE_OUT;
 use super::{Outcome, report};
 use crate::arguments::{ReplayArguments, RolloutArguments, StageArguments, TrainArguments, kind_override};
 use crate::console::Console;
@@ -49,6 +50,14 @@ pub(crate) fn segment(arguments: &StageArguments) -> Result<Outcome> {
     );
     console.say(&text)?;
     Ok(Outcome::Done)
+}
+
+/// `re4-pipe observe`. As `audit`, it leaves out unusable demonstrations.
+pub(crate) fn observe(arguments: &StageArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner_of(Stage::Observe, &[LEAVE_OUT.to_owned()])?;
+    let built = runner.artifact_of(Stage::Observe)?;
+    answer(console, &runner, &built)
 }
 
 /// `re4-pipe train-pose`. Refuses pipelines that use the recorded poses.

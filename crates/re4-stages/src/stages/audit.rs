@@ -1,18 +1,21 @@
 //! The stage `audit`: makes `audit`, which lists findings, from `episodes` and `modes`.
+//!
+//! Demonstrations are read twice, because thresholds depend on all of them. If `episodes` is in parts, the first pass is the stage `observe`
+//! (module [`observe`]), and the parts of the second pass read its artifact (module [`parts`]).
 
 mod arm;
+mod observe;
+mod parts;
 mod scores;
 mod summary;
-
-use std::collections::BTreeMap;
 
 use anyhow::Result;
 use rayon::prelude::*;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage, Writer};
 use re4_audit::{
-    AuditedEpisodeRow, CheckRow, Finding, FindingRow, FingerUnit, GraspLimits, GraspRow, JudgedGrasp, PlanarDemo,
-    RuleAgreementRow, Severity, SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial, contact_and_motion,
-    observe_planar, observe_spatial,
+    AuditedEpisodeRow, CheckRow, Dataset, Finding, FindingRow, FingerUnit, GraspLimits, GraspRow, JudgedGrasp,
+    PlanarDemo, RuleAgreementRow, Severity, SpatialDemo, Thresholds, audit_copies, audit_planar, audit_spatial,
+    contact_and_motion, observe_planar, observe_spatial,
 };
 use re4_episode::{Mode, Segment};
 use re4_ingest::{Convention, LeftOut};
@@ -21,7 +24,7 @@ use re4_segment::{Rule, SegmentConfig, segment_planar, segment_spatial};
 use re4_sim::{GOAL, coverage};
 use re4_task::Domain;
 
-use self::summary::{Contacts, summary};
+use self::summary::{Contacts, OfDomain, Tally};
 use crate::inputs::demos::{LeftOutEpisodes, SegmentedEpisodes, SpatialEpisodes, in_batches};
 use crate::inputs::episodes::read_episodes;
 use crate::inputs::sources::left_out;
@@ -65,25 +68,23 @@ struct Audited {
     listed: Vec<Listed>,
     findings: Vec<Finding>,
     grasps: Vec<GraspRow>,
-    contacts: Option<Contacts>,
-    /// What is known about a dataset of an arm without an object, for the summary.
-    arm: Option<serde_json::Value>,
+    domain: OfDomain,
     sketches: Vec<Sketch>,
     agreements: Vec<RuleAgreementRow>,
 }
 
 impl Audited {
-    /// Reports the demonstrations that ingest left out, each with one finding. They follow the others, and are listed with no frames.
-    fn report_left_out(&mut self, left: &[LeftOut], kept: usize) {
-        for (number, left) in left.iter().enumerate() {
-            let place = kept + number;
-            if self.listed.len() <= place {
+    /// Reports the demonstrations that ingest left out, each with one finding. They follow the `kept` others, and are listed with no
+    /// frames. `first` is the number of the first demonstration that is listed.
+    fn report_left_out(&mut self, left: &[LeftOut], first: u32, kept: u32) {
+        for (number, left) in (kept..).zip(left) {
+            if self.listed.len() <= (number - first) as usize {
                 self.listed.push(Listed::new(&left.demo, 0, Vec::new(), 0.0));
             }
             self.findings.push(Finding {
                 severity: Severity::Error,
                 code: "left_out",
-                episode: place as u32,
+                episode: number,
                 demo: left.demo.clone(),
                 frames: 0..0,
                 value: None,
@@ -93,6 +94,25 @@ impl Audited {
                 other: None,
                 other_demo: None,
             });
+        }
+    }
+
+    /// Sorts the findings, and fills in the numbers and counts of the listed demonstrations, whose first has the number `first`.
+    fn complete(&mut self, first: u32) {
+        self.findings
+            .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
+        for (number, listed) in (first..).zip(&mut self.listed) {
+            listed.row.episode = number;
+        }
+        for finding in &self.findings {
+            let place = finding.episode.checked_sub(first).map(|place| place as usize);
+            if let Some(Listed { row, .. }) = place.and_then(|place| self.listed.get_mut(place)) {
+                *match finding.severity {
+                    Severity::Error => &mut row.errors,
+                    Severity::Warning => &mut row.warnings,
+                    Severity::Note => &mut row.notes,
+                } += 1;
+            }
         }
     }
 }
@@ -110,6 +130,9 @@ impl Runner {
             .config(&self.audit_config())?
             .input("episodes", episodes.artifact.key())
             .input("modes", modes.artifact.key());
+        if episodes.artifact.parts() > 1 && self.pipeline.task.domain() == Domain::Space {
+            return self.audit_in_parts(episodes, modes, recipe);
+        }
         self.build(&recipe, |writer| {
             let left = left_out(&episodes.artifact)?;
             let mut audited = match self.pipeline.task.domain() {
@@ -117,16 +140,8 @@ impl Runner {
                 Domain::Space => self.audit_spatial(&episodes.artifact, &modes.artifact, &left, &Ok)?,
                 Domain::Arm => self.audit_arm(&episodes.artifact, &modes.artifact)?,
             };
-            let kept = episodes.artifact.manifest().summary["episodes"].as_u64();
-            audited.report_left_out(&left, kept.unwrap_or_default() as usize);
-            audited
-                .findings
-                .sort_by(|a, b| (a.episode, a.frames.start, a.code).cmp(&(b.episode, b.frames.start, b.code)));
-            write(&mut audited, writer)?;
-            Ok(ArtifactSummary {
-                summary: summary(&audited),
-                warnings: Vec::new(),
-            })
+            audited.report_left_out(&left, 0, kept_of(&episodes.artifact));
+            write(audited, writer)
         })
     }
 
@@ -145,21 +160,17 @@ impl Runner {
         Ok(self.audit_spatial(episodes, modes, &[], transform)?.findings)
     }
 
-    /// The demonstrations of a dataset with their segmentation, and after them those that were left out although they can be read.
-    /// Grasps are judged by the gripper command, so demonstrations with other modes are segmented again.
-    fn demos_to_audit<'a>(
+    /// Demonstrations with their segmentation, of whole artifacts or of parts. Grasps are judged by the gripper command, so
+    /// demonstrations with other modes are segmented again.
+    fn kept_demos<'a>(
         &'a self,
         episodes: &Artifact,
         modes: &Artifact,
-        left: &'a [LeftOut],
         transform: &'a dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
     ) -> Result<impl Iterator<Item = Result<Audible>> + use<'a>> {
         let config = &self.pipeline.segment;
-        let by_command = SegmentConfig {
-            rule: Rule::GripperCommand,
-            ..config.clone()
-        };
-        let kept = SegmentedEpisodes::open(episodes, modes)?.map(move |demo| {
+        let by_command = self.by_command();
+        Ok(SegmentedEpisodes::open(episodes, modes)?.map(move |demo| {
             let demo = transform(demo?)?;
             let modes = demo.segmented.modes.clone();
             let demo = match config.rule {
@@ -174,18 +185,24 @@ impl Runner {
                 modes,
                 kept: true,
             })
-        });
-        let by_command = SegmentConfig {
-            rule: Rule::GripperCommand,
-            ..config.clone()
-        };
-        let first = episodes.manifest().summary["episodes"].as_u64().unwrap_or_default() as u32;
-        let others = LeftOutEpisodes::open(episodes, left)?.map(move |read| {
+        }))
+    }
+
+    /// The demonstrations that were left out although they can be read. They are numbered after the `kept` others.
+    fn left_demos<'a>(
+        &'a self,
+        episodes: &Artifact,
+        left: &[LeftOut],
+        kept: u32,
+    ) -> Result<impl Iterator<Item = Result<Audible>> + use<'a>> {
+        let config = &self.pipeline.segment;
+        let by_command = self.by_command();
+        Ok(LeftOutEpisodes::open(episodes, left)?.map(move |read| {
             let (number, episode) = read?;
             let modes = segment_spatial(&episode, config)?.modes;
             let segmented = segment_spatial(&episode, &by_command)?;
             let demo = SpatialDemo {
-                number: first + number,
+                number: kept + number,
                 episode,
                 segmented,
             };
@@ -194,8 +211,14 @@ impl Runner {
                 modes,
                 kept: false,
             })
-        });
-        Ok(kept.chain(others))
+        }))
+    }
+
+    fn by_command(&self) -> SegmentConfig {
+        SegmentConfig {
+            rule: Rule::GripperCommand,
+            ..self.pipeline.segment.clone()
+        }
     }
 
     fn audit_spatial(
@@ -205,12 +228,14 @@ impl Runner {
         left: &[LeftOut],
         transform: &dyn Fn(SpatialDemo) -> Result<SpatialDemo>,
     ) -> Result<Audited> {
-        // Demonstrations are read twice: thresholds depend on all of them, and they need not fit in memory.
-        let read = || self.demos_to_audit(episodes, modes, left, transform);
-        let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
+        let kept = kept_of(episodes);
+        let read = || {
+            let kept_demos = self.kept_demos(episodes, modes, transform)?;
+            anyhow::Ok(kept_demos.chain(self.left_demos(episodes, left, kept)?))
+        };
         let demos = SpatialEpisodes::open(episodes)?.demos();
         let bar = self.notes.progress(2 * (demos + left.len()) as u64, "audit");
-        let limits = self.grasp_limits(gripper.closed);
+        let limits = self.spatial_limits();
         let mut observations = Vec::with_capacity(demos);
         let mut listed = Vec::with_capacity(demos);
         let mut numbers = Vec::new();
@@ -224,12 +249,7 @@ impl Runner {
             for own in &batch {
                 // Demonstrations without readable frames have a number, too.
                 listed.resize_with(own.demo.number as usize, || Listed::new("", 0, Vec::new(), 0.0));
-                // The frames of a demonstration that was left out are in no other table.
-                listed.push(if own.kept {
-                    list_spatial(&own.demo)
-                } else {
-                    Listed::new(&own.demo.episode.name, 0, Vec::new(), 0.0)
-                });
+                listed.push(own.listed());
                 numbers.extend((!own.kept).then_some(own.demo.number));
             }
             bar.inc(batch.len() as u64);
@@ -242,22 +262,17 @@ impl Runner {
         }
         // Demonstrations that contradict the others have no part in the thresholds.
         let usual = observations.len() - numbers.len();
-        let thresholds = Thresholds::derive(&observations[..usual], &self.pipeline.audit, false, gripper.closed)
+        let thresholds = Thresholds::of(&observations[..usual], &self.pipeline.audit, &self.spatial_dataset())
             .with_recorded_goals(recorded_goals(episodes)?);
         let mut findings = audit_copies(&observations, &thresholds);
         let (mut grasps, mut agreements) = (Vec::new(), Vec::new());
         for batch in in_batches(read()?) {
             self.interrupt.check("audit")?;
             let batch = batch?;
-            let audits: Vec<_> = batch
-                .par_iter()
-                .map(|own| Ok((audit_spatial(&own.demo, &thresholds, &limits), self.agreement(own)?)))
-                .collect::<Result<_>>()?;
-            for (own, (audit, agreement)) in batch.iter().zip(audits) {
-                findings.extend(audit.findings);
-                let judged = audit.grasps.into_iter().filter(|_| own.kept);
-                grasps.extend(judged.filter_map(|judged| list_grasp(&own.demo, judged)));
-                agreements.extend(agreement);
+            for judged in self.judge_demos(&batch, &thresholds, &limits)? {
+                findings.extend(judged.findings);
+                grasps.extend(judged.grasps);
+                agreements.extend(judged.agreements);
             }
             bar.inc(batch.len() as u64);
         }
@@ -267,11 +282,35 @@ impl Runner {
             listed,
             findings,
             grasps,
-            contacts: None,
-            arm: None,
+            domain: OfDomain::Space,
             sketches,
             agreements,
         })
+    }
+
+    /// Makes all checks of demonstrations in SE(3).
+    fn judge_demos(&self, batch: &[Audible], thresholds: &Thresholds, limits: &GraspLimits) -> Result<Vec<Judged>> {
+        let judge = |own: &Audible| {
+            let audit = audit_spatial(&own.demo, thresholds, limits);
+            let grasps = audit.grasps.into_iter().filter(|_| own.kept);
+            Ok(Judged {
+                findings: audit.findings,
+                grasps: grasps.filter_map(|grasp| list_grasp(&own.demo, grasp)).collect(),
+                agreements: self.agreement(own)?,
+            })
+        };
+        batch.par_iter().map(judge).collect()
+    }
+
+    /// What thresholds in SE(3) depend on besides the demonstrations.
+    fn spatial_dataset(&self) -> Dataset {
+        let gripper = self.pipeline.segment.gripper.clone().unwrap_or_default();
+        Dataset::new(Domain::Space, gripper.closed)
+    }
+
+    /// The limits by which grasps in SE(3) are judged.
+    fn spatial_limits(&self) -> GraspLimits {
+        self.grasp_limits(self.spatial_dataset().closed)
     }
 
     /// The limits by which grasps are judged.
@@ -343,8 +382,7 @@ impl Runner {
             .flat_map(|demo| contact_and_motion(&demo.segmented.evidence));
         Ok(Audited {
             thresholds,
-            contacts: Some(contacts.flatten().collect()),
-            arm: None,
+            domain: OfDomain::Plane(contacts.flatten().collect::<Contacts>()),
             listed: demos.iter().map(list_planar).collect(),
             sketches: demos.par_iter().map(|demo| self.sketch_planar(demo)).collect(),
             findings,
@@ -362,6 +400,29 @@ struct Audible {
     modes: Vec<Mode>,
     /// Whether it is in the artifact. Otherwise it was left out.
     kept: bool,
+}
+
+impl Audible {
+    /// The row of the demonstration. The frames of a demonstration that was left out are in no other table.
+    fn listed(&self) -> Listed {
+        if self.kept {
+            list_spatial(&self.demo)
+        } else {
+            Listed::new(&self.demo.episode.name, 0, Vec::new(), 0.0)
+        }
+    }
+}
+
+/// What the checks of a demonstration found.
+struct Judged {
+    findings: Vec<Finding>,
+    grasps: Vec<GraspRow>,
+    agreements: Vec<RuleAgreementRow>,
+}
+
+/// Number of demonstrations that ingest used.
+fn kept_of(episodes: &Artifact) -> u32 {
+    episodes.manifest().summary["episodes"].as_u64().unwrap_or_default() as u32
 }
 
 /// Whether the dataset records absolute actions.
@@ -419,28 +480,40 @@ fn list_grasp(demo: &SpatialDemo, judged: JudgedGrasp) -> Option<GraspRow> {
     })
 }
 
-fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
-    for (number, listed) in (0..).zip(&mut audited.listed) {
-        listed.row.episode = number;
+/// Writes all tables of an artifact that is not in parts.
+fn write(mut audited: Audited, writer: &Writer) -> Result<ArtifactSummary> {
+    audited.complete(0);
+    let mut tally = Tally::default();
+    for listed in &audited.listed {
+        tally.add_episode(&listed.row);
+        let segments = listed.segments.iter();
+        segments.for_each(|segment| tally.add_segment(segment.mode, segment.frames.len()));
     }
     for finding in &audited.findings {
-        if let Some(Listed { row, .. }) = audited.listed.get_mut(finding.episode as usize) {
-            *match finding.severity {
-                Severity::Error => &mut row.errors,
-                Severity::Warning => &mut row.warnings,
-                Severity::Note => &mut row.notes,
-            } += 1;
-        }
+        tally.add_finding(finding.code, finding.severity, finding.episode);
     }
-    writer.write_rows(
-        (0..)
-            .zip(&audited.findings)
-            .map(|(number, found)| FindingRow::new(number, found)),
-    )?;
-    let counts = by_code(&audited.findings);
-    let domain = audited.thresholds.domain();
-    writer.write_rows(audited.thresholds.iter().map(|(check, threshold)| {
-        let (findings, episodes) = counts.get(check.code).copied().unwrap_or_default();
+    audited.grasps.iter().for_each(|row| tally.add_grasp(row));
+    audited.agreements.iter().for_each(|row| tally.add_agreement(row));
+    let findings = (0..).zip(&audited.findings);
+    writer.write_rows(findings.map(|(number, found)| FindingRow::new(number, found)))?;
+    writer.write_rows(checks(&audited.thresholds, &tally))?;
+    writer.write_rows(audited.listed.iter().map(|listed| listed.row.clone()))?;
+    writer.write_rows(re4_scores::score(&audited.sketches))?;
+    if audited.thresholds.domain() == Domain::Space {
+        writer.write_rows(audited.grasps)?;
+        writer.write_rows(audited.agreements)?;
+    }
+    Ok(ArtifactSummary {
+        summary: tally.summary(&audited.thresholds, audited.domain),
+        warnings: Vec::new(),
+    })
+}
+
+/// The rows of table `checks`.
+fn checks(thresholds: &Thresholds, tally: &Tally) -> impl Iterator<Item = CheckRow> {
+    let domain = thresholds.domain();
+    thresholds.iter().map(move |(check, threshold)| {
+        let (findings, episodes) = tally.found(check.code);
         CheckRow {
             code: check.code.into(),
             severity: check.severity,
@@ -453,30 +526,5 @@ fn write(audited: &mut Audited, writer: &Writer) -> Result<()> {
             findings,
             episodes,
         }
-    }))?;
-    writer.write_rows(audited.listed.iter().map(|listed| listed.row.clone()))?;
-    writer.write_rows(re4_scores::score(&audited.sketches))?;
-    if domain == Domain::Space {
-        writer.write_rows(audited.grasps.iter().cloned())?;
-        writer.write_rows(audited.agreements.iter().cloned())?;
-    }
-    Ok(())
-}
-
-/// The number of findings and the number of demonstrations with findings, by code.
-fn by_code(findings: &[Finding]) -> BTreeMap<&'static str, (u32, u32)> {
-    let mut counts: BTreeMap<&'static str, (u32, Option<u32>, u32)> = BTreeMap::new();
-    // Findings are sorted by demonstration, so a change of demonstration means a new one.
-    for finding in findings {
-        let (found, last, episodes) = counts.entry(finding.code).or_default();
-        *found += 1;
-        if *last != Some(finding.episode) {
-            *last = Some(finding.episode);
-            *episodes += 1;
-        }
-    }
-    counts
-        .into_iter()
-        .map(|(code, (found, _, episodes))| (code, (found, episodes)))
-        .collect()
+    })
 }

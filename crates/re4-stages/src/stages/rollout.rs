@@ -243,7 +243,9 @@ impl Runner {
             )?;
             Ok(ArtifactSummary::default())
         };
-        self.build_parts(recipe, parts_of(starts.len(), in_part), make, finish)
+        self.build_parts(recipe, parts_of(starts.len(), in_part), make, |parts, writer| {
+            finish(parts, writer)
+        })
     }
 
     /// The protocol in the summary of rollouts: the demonstrations, the maximum number of steps, and the domain's own entries.

@@ -10,6 +10,7 @@ use re4_audit::{
 use re4_stats::median;
 use serde_json::{Value, json};
 
+use super::summary::OfDomain;
 use super::{Audited, Listed};
 use crate::inputs::arm::{ArmEpisodes, SegmentedArms, gripper, rate, signals};
 use crate::inputs::demos::in_batches;
@@ -46,12 +47,11 @@ impl Runner {
         }
         bar.finish_and_clear();
         Ok(Audited {
-            arm: Some(described(&facts, &observations, &thresholds)),
+            domain: OfDomain::Arm(described(&facts, &observations, &thresholds)),
             thresholds,
             listed,
             findings,
             grasps: Vec::new(),
-            contacts: None,
             sketches,
             agreements: Vec::new(),
         })
