@@ -167,7 +167,7 @@ fn several_files_have_the_tables_of_one() {
     pipeline(
         &place,
         "order",
-        "[\"split/b.hdf5\", \"split/a.hdf5\", \"split/c.hdf5\"]",
+        "[\"split/a.hdf5\", \"split/c.hdf5\", \"split/b.hdf5\"]",
         "",
     );
     succeeds(&place, "order", &["ingest", "order.toml"]);
