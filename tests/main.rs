@@ -28,6 +28,7 @@ mod influence;
 mod interrupt;
 mod kill;
 mod lerobot;
+mod many_files;
 mod notebooks;
 mod notes;
 mod object_store;

@@ -30,8 +30,8 @@ pub trait DemoSource: Sync {
         &[]
     }
 
-    /// The requested demonstrations, in order.
-    fn demos(&self) -> &[DemoName];
+    /// Number of the requested demonstrations.
+    fn count(&self) -> usize;
 
     /// Whether a range of the demonstrations can be read without the others. If not, the artifact is made in one part.
     fn can_be_read_in_parts(&self) -> bool {

@@ -284,15 +284,18 @@ fn of_pipeline(pipeline: &Pipeline) -> Vec<Finding> {
             fix,
         }
     };
-    let source = find_source(&pipeline.ingest.source).and_then(|path| {
+    let existing = |path: PathBuf| {
         re4_fault::ensure!(
             path.exists(),
             "cannot ingest {}: there is no such file", path.display();
             "give the path of the dataset as ingest.source"
         );
         Ok(path)
-    });
-    let mut found = vec![finding("ingest.source", "ingest", source)];
+    };
+    let sources = pipeline.ingest.source.paths().iter();
+    let mut found: Vec<Finding> = sources
+        .map(|source| finding("ingest.source", "ingest", find_source(source).and_then(existing)))
+        .collect();
     if let Some(pose) = pipeline.pose.as_ref().filter(|pose| pose.source == PoseSource::Encoder)
         && let Some(weights) = &pose.encoder().weights
     {

@@ -21,6 +21,9 @@ pub struct HashedFile {
     pub modified_ns: i64,
     /// BLAKE3 hash of its content.
     pub blake3: Key,
+    /// Number of its demonstrations, if it is one of several files of a dataset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub demonstrations: Option<usize>,
 }
 
 /// Files that need not be hashed again unless their length or time has changed.
@@ -40,11 +43,28 @@ impl Hashes {
         files.values().cloned().collect()
     }
 
-    /// The known hash of a file that has not changed.
-    pub(crate) fn known(&self, path: &Path) -> Option<Key> {
+    /// What is known of a file that has not changed.
+    fn unchanged(&self, path: &Path) -> Option<HashedFile> {
         let path = absolute(path);
         let found = self.files().get(&path).cloned();
-        let file = found.filter(|file| Some((file.bytes, file.modified_ns)) == state(&path))?;
+        found.filter(|file| Some((file.bytes, file.modified_ns)) == state(&path))
+    }
+
+    /// The known number of demonstrations in a file that has not changed.
+    pub(crate) fn count(&self, path: &Path) -> Option<usize> {
+        self.unchanged(path)?.demonstrations
+    }
+
+    /// Remembers the number of demonstrations in a file whose hash is known.
+    pub(crate) fn set_count(&self, path: &Path, count: usize) {
+        if let Some(file) = self.files().get_mut(&absolute(path)) {
+            file.demonstrations = Some(count);
+        }
+    }
+
+    /// The known hash of a file that has not changed.
+    pub(crate) fn known(&self, path: &Path) -> Option<Key> {
+        let file = self.unchanged(path)?;
         tracing::info!(path = %path.display(), "hash of the source is known");
         Some(file.blake3)
     }
@@ -63,6 +83,7 @@ impl Hashes {
                 bytes,
                 modified_ns,
                 blake3,
+                demonstrations: None,
             };
             self.files().insert(path, file);
         }

@@ -34,7 +34,7 @@ pub use notes::{Notes, fault_of, print_error};
 pub use parts::{Partly, Share};
 pub use pipeline::{
     Camera, Estimates, IndexSection, IngestSection, NoiseSection, Pipeline, Policy, PoseSection, PoseSource,
-    RolloutSection, Seeds, Task, Variant, read_pipeline, schema,
+    RolloutSection, Seeds, SourcePaths, Task, Variant, read_pipeline, schema,
 };
 pub use plan::PlannedStage;
 pub use plan_file::{Group, Plan, memory_mb};

@@ -234,6 +234,16 @@ impl Session {
         self.hashes.known(path)
     }
 
+    /// The number of demonstrations in a file, if it is known and the file has not changed.
+    pub(crate) fn known_count(&self, path: &Path) -> Option<usize> {
+        self.hashes.count(path)
+    }
+
+    /// Remembers the number of demonstrations in a file that was hashed.
+    pub(crate) fn set_count(&self, path: &Path, count: usize) {
+        self.hashes.set_count(path, count);
+    }
+
     /// The files that were hashed so far, and those whose hashes were given.
     pub fn hashed(&self) -> Vec<HashedFile> {
         self.hashes.all()

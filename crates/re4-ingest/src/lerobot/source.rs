@@ -121,6 +121,11 @@ pub struct LerobotSource {
 }
 
 impl LerobotSource {
+    /// The requested demonstrations, in order.
+    pub fn demos(&self) -> &[DemoName] {
+        &self.demos
+    }
+
     /// Opens a dataset again, reads the numbers of one of Push-T, and proves the conventions. `files` are those that were hashed.
     ///
     /// # Errors
@@ -248,8 +253,8 @@ impl DemoSource for LerobotSource {
         }
     }
 
-    fn demos(&self) -> &[DemoName] {
-        &self.demos
+    fn count(&self) -> usize {
+        self.demos().len()
     }
 
     fn can_be_read_in_parts(&self) -> bool {

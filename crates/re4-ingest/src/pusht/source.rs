@@ -27,6 +27,11 @@ pub struct PushtSource {
 }
 
 impl PushtSource {
+    /// The requested demonstrations, in order.
+    pub fn demos(&self) -> &[DemoName] {
+        &self.demos
+    }
+
     /// Reads the numbers of the selected episodes.
     ///
     /// # Errors
@@ -133,8 +138,8 @@ impl DemoSource for PushtSource {
         &self.info
     }
 
-    fn demos(&self) -> &[DemoName] {
-        &self.demos
+    fn count(&self) -> usize {
+        self.demos().len()
     }
 
     /// The arrays are those of the whole dataset.

@@ -2,6 +2,7 @@
 //! computes the columns of the tables.
 
 use std::borrow::Cow;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
@@ -27,7 +28,7 @@ use crate::left_out::refusal;
 use crate::tables::{Convention, LeftOut, SpatialColumns};
 
 /// Number of demonstrations on which conventions are proven.
-const PROVEN_ON: usize = 10;
+pub(super) const PROVEN_ON: usize = 10;
 
 /// Settings about how to read a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,15 +78,31 @@ impl Interpreter {
     /// The file is of another task or has two arms, or required data is missing; a convention is neither proven nor set; no
     /// demonstration can be used.
     pub fn learn(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), IngestError> {
-        Self::learn_checked(reader, reading).map_err(|fault| Fault::from(fault).of(&reader.path))
+        Self::learn_from(std::slice::from_ref(reader), reading)
     }
 
-    fn learn_checked(reader: &RobomimicReader, reading: &Reading) -> Result<(Self, Vec<LeftOut>), Hdf5Fault> {
+    /// Like [`Self::learn`], for the first demonstrations of several files of one dataset. The first file states how they were
+    /// recorded.
+    pub(super) fn learn_from(
+        readers: &[RobomimicReader],
+        reading: &Reading,
+    ) -> Result<(Self, Vec<LeftOut>), IngestError> {
+        let Some(reader) = readers.first() else {
+            return Err(Fault::from(Hdf5Fault::NoData).of(Path::new("")));
+        };
+        Self::learn_checked(reader, readers, reading).map_err(|fault| Fault::from(fault).of(&reader.path))
+    }
+
+    fn learn_checked(
+        reader: &RobomimicReader,
+        readers: &[RobomimicReader],
+        reading: &Reading,
+    ) -> Result<(Self, Vec<LeftOut>), Hdf5Fault> {
         let env = reader.environment(reading.env_args.as_deref())?;
         refuse_two_arms(reader, &env)?;
         check_task(&env, reading.task)?;
         let mut relative = Relative::of(reader, reading, &env)?;
-        let (mut first, from_states, mut left_out) = Prepared::gather(reader, reading, &env, &relative)?;
+        let (mut first, from_states, mut left_out) = Prepared::gather(readers, reading, &env, &relative)?;
         relative.learn_frame(&mut first, &env, &reading.conventions)?;
         let (env, settings) = relative.adapted(env, &reading.conventions);
         let complete: Vec<DemoArrays<'_>> = first
@@ -412,21 +429,21 @@ pub(super) struct Prepared {
 impl Prepared {
     /// Collects the first usable demonstrations, what is computed from states, and the demonstrations that cannot be used.
     fn gather(
-        reader: &RobomimicReader,
+        readers: &[RobomimicReader],
         reading: &Reading,
         env: &EnvArgs,
         relative: &Relative,
     ) -> Result<(Vec<Self>, FromStates, Vec<LeftOut>), Hdf5Fault> {
         let (mut prepared, mut left_out): (Vec<Self>, Vec<LeftOut>) = (Vec::new(), Vec::new());
         let mut from: Option<FromStates> = None;
-        let mut names = reader.demos().iter();
+        let of = |reader| std::iter::repeat(reader).zip(RobomimicReader::demos(reader));
+        let all: usize = readers.iter().map(|reader| reader.demos().len()).sum();
+        let mut names = readers.iter().flat_map(of);
         loop {
             let batch: Vec<_> = names.by_ref().take(PROVEN_ON - prepared.len()).collect();
-            if batch.is_empty() {
-                break;
-            }
+            let Some((reader, _)) = batch.first() else { break };
             let mut read: Vec<Result<Demo, Hdf5Fault>> = Vec::new();
-            for name in &batch {
+            for (reader, name) in &batch {
                 read.push(reader.read(name));
                 if let Some(Err(fault)) =
                     read.pop_if(|read| read.as_ref().is_err_and(|fault| reader.file.is_fatal(fault)))
@@ -443,7 +460,7 @@ impl Prepared {
                 None => FromStates::of(reader, reading, env, relative, (some, &read))?,
             };
             let demos = read.into_iter().zip(models).zip(&batch);
-            for ((demo, model), name) in demos {
+            for ((demo, model), (reader, name)) in demos {
                 let ready = demo.and_then(|mut demo| {
                     let model = model?;
                     check_object_columns(&demo, reading.task)?;
@@ -452,19 +469,20 @@ impl Prepared {
                         return Err(no_object(&demo));
                     }
                     let poses = from_states.complete(&mut demo, model.as_deref())?;
+                    demo.name.insert_str(0, &reader.prefix);
                     Ok(Self { demo, model, poses })
                 });
                 match ready {
                     Ok(ready) => prepared.push(ready),
                     Err(fault) if reader.file.is_fatal(&fault) => return Err(fault),
                     Err(fault) => left_out.push(LeftOut {
-                        demo: name.name.clone(),
+                        demo: [reader.prefix.as_str(), &name.name].concat(),
                         why: fault.to_string(),
                     }),
                 }
             }
             from = (!prepared.is_empty()).then_some(from_states);
-            if prepared.is_empty() && left_out.len() == reader.demos().len() {
+            if prepared.is_empty() && left_out.len() == all {
                 return Err(Hdf5Fault::Other(refusal(&left_out, left_out.len())));
             }
         }

@@ -64,6 +64,40 @@ pub struct RobomimicReader {
     filter_keys: BTreeSet<String>,
     warnings: Vec<Warning>,
     sidecars: Mutex<BTreeMap<String, Arc<str>>>,
+    /// What precedes the names of the demonstrations where several files are read.
+    pub(super) prefix: String,
+}
+
+/// What is known of the demonstrations of a file by their names.
+struct Found {
+    file: File,
+    /// The chosen demonstrations.
+    demos: Vec<DemoName>,
+    /// Number of all demonstrations.
+    count: usize,
+    filter_keys: BTreeSet<String>,
+    warnings: Vec<Warning>,
+}
+
+impl Found {
+    fn of(sources: &Sources, choice: &DemoChoice, access: Access) -> Result<Self, Fault> {
+        let file = File::open(Arc::clone(sources.file()), access, !choice.cautious)?;
+        let (names, mut warnings) = demonstrations(&file)?;
+        let mut demos = numbered(names);
+        mark_filter_keys(&file, choice, &mut demos, &mut warnings)?;
+        if let Some(filter) = &choice.filter
+            && demos.iter().all(|demo| !demo.filter_keys.contains(filter))
+        {
+            return Err(Hdf5Fault::EmptyFilter { filter: filter.clone() }.into());
+        }
+        Ok(Self {
+            filter_keys: demos.iter().flat_map(|demo| demo.filter_keys.iter().cloned()).collect(),
+            count: demos.len(),
+            demos: chosen(&demos, choice)?,
+            file,
+            warnings,
+        })
+    }
 }
 
 impl RobomimicReader {
@@ -74,8 +108,40 @@ impl RobomimicReader {
     /// The file is not an HDF5 file of demonstrations, the filter key does not exist or names a missing demonstration, or the
     /// selection does not match. With [`Access::Direct`] also [`Hdf5Fault::NeedsLibrary`].
     pub fn open(sources: &Sources, choice: &DemoChoice, access: Access) -> Result<Self, IngestError> {
-        let opened = Self::open_checked(sources.clone(), choice, access);
-        opened.map_err(|fault| {
+        Self::open_places(sources, choice, access, None)
+    }
+
+    /// Like [`Self::open`], only for those of the chosen demonstrations that have these indices, if some are given.
+    pub(super) fn open_places(
+        sources: &Sources,
+        choice: &DemoChoice,
+        access: Access,
+        places: Option<&[usize]>,
+    ) -> Result<Self, IngestError> {
+        Self::checked(sources, || {
+            let mut found = Found::of(sources, choice, access)?;
+            if let Some(places) = places {
+                let demos = places.iter().filter_map(|place| found.demos.get(*place).cloned());
+                found.demos = demos.collect();
+            }
+            Self::opened(sources.clone(), found)
+        })
+    }
+
+    /// Names of the chosen demonstrations of a file, and the number of all. Nothing else is read.
+    pub(super) fn list(
+        sources: &Sources,
+        choice: &DemoChoice,
+        access: Access,
+    ) -> Result<(Vec<DemoName>, usize), IngestError> {
+        Self::checked(sources, || {
+            let found = Found::of(sources, choice, access)?;
+            Ok((found.demos, found.count))
+        })
+    }
+
+    fn checked<T>(sources: &Sources, open: impl FnOnce() -> Result<T, Fault>) -> Result<T, IngestError> {
+        open().map_err(|fault| {
             let error = fault.of(sources.path());
             match sources.unchanged() {
                 // A change of the file can cause any other fault, so only the change is reported.
@@ -85,19 +151,14 @@ impl RobomimicReader {
         })
     }
 
-    fn open_checked(sources: Sources, choice: &DemoChoice, access: Access) -> Result<Self, Fault> {
-        let file = File::open(Arc::clone(sources.file()), access, !choice.cautious)?;
-        let (names, mut warnings) = demonstrations(&file)?;
-        let mut demos = numbered(names);
-        let found = demos.len();
-        mark_filter_keys(&file, choice, &mut demos, &mut warnings)?;
-        if let Some(filter) = &choice.filter
-            && demos.iter().all(|demo| !demo.filter_keys.contains(filter))
-        {
-            return Err(Hdf5Fault::EmptyFilter { filter: filter.clone() }.into());
-        }
-        let filter_keys = demos.iter().flat_map(|demo| demo.filter_keys.iter().cloned()).collect();
-        let demos = chosen(&demos, choice)?;
+    fn opened(sources: Sources, found: Found) -> Result<Self, Fault> {
+        let Found {
+            file,
+            demos,
+            count: found,
+            filter_keys,
+            mut warnings,
+        } = found;
         let survey = Survey::of(&file, &demos)?;
         warnings.extend(survey.warning());
         let models = if sources.has_models_folder() {
@@ -119,6 +180,7 @@ impl RobomimicReader {
             filter_keys,
             warnings,
             sidecars: Mutex::default(),
+            prefix: String::new(),
         })
     }
 
@@ -209,7 +271,7 @@ impl RobomimicReader {
     }
 
     /// Asks something of the first demonstration. Its faults are reported when it is read.
-    fn of_first<T: Default>(&self, ask: impl Fn(&str) -> Result<T, Hdf5Fault>) -> Result<T, Hdf5Fault> {
+    pub(super) fn of_first<T: Default>(&self, ask: impl Fn(&str) -> Result<T, Hdf5Fault>) -> Result<T, Hdf5Fault> {
         let Some(demo) = self.demos.first() else {
             return Ok(T::default());
         };

@@ -4,25 +4,31 @@ use std::fs::File;
 use std::ops::Range;
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
+use std::sync::Arc;
 
 use re4_robosuite::conventions::ActionKind;
 use re4_robosuite::env_args::EnvArgs;
 use serde_json::{Map, Value, json};
 
 use super::demo::Demo;
-use super::interpret::{Interpreted, Interpreter};
+use super::interpret::{Interpreted, Interpreter, Reading};
 use super::look::SIGNATURE;
 use super::reader::RobomimicReader;
+use super::several::{CamerasAsked, FileSource, Files, Several};
 use super::summary::Comparison;
 use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Tally};
 use crate::error::IngestError;
+use crate::left_out::parts;
 use crate::tables::{Convention, LeftOut};
 use crate::warning::{Warning, WarningCode};
+
+/// Number of demonstrations of a file that are compared with the conventions of the other files.
+const COMPARED: usize = 3;
 
 /// An opened file with known conventions.
 pub struct RobomimicSource {
     reader: RobomimicReader,
-    interpreter: Interpreter,
+    interpreter: Arc<Interpreter>,
     comparison: Option<Comparison>,
     info: Info,
     /// Demonstrations that were found unusable when the conventions were proven.
@@ -33,6 +39,11 @@ pub struct RobomimicSource {
 }
 
 impl RobomimicSource {
+    /// The requested demonstrations, in order.
+    pub fn demos(&self) -> &[DemoName] {
+        self.reader.demos()
+    }
+
     /// Creates a source from a reader and the result of [`Interpreter::learn`]; `cameras` are those with requested images.
     ///
     /// # Errors
@@ -40,6 +51,16 @@ impl RobomimicSource {
     pub fn new(
         reader: RobomimicReader,
         (interpreter, excluded): (Interpreter, Vec<LeftOut>),
+        comparison: Option<Comparison>,
+        cameras: Vec<String>,
+    ) -> Result<Self, IngestError> {
+        Self::interpreted(reader, (Arc::new(interpreter), excluded), comparison, cameras)
+    }
+
+    /// Like [`Self::new`], with conventions that several files share.
+    pub(super) fn interpreted(
+        reader: RobomimicReader,
+        (interpreter, excluded): (Arc<Interpreter>, Vec<LeftOut>),
         comparison: Option<Comparison>,
         cameras: Vec<String>,
     ) -> Result<Self, IngestError> {
@@ -75,6 +96,20 @@ impl RobomimicSource {
             comparison,
             info,
             excluded,
+        })
+    }
+
+    /// Several files as one dataset.
+    ///
+    /// # Errors
+    /// A file cannot be read, or contradicts the conventions of the first demonstrations.
+    pub fn several(files: Files, reading: &Reading, cameras: &CamerasAsked) -> Result<Several<Self>, IngestError> {
+        let (interpreter, left) = files.learn(reading)?;
+        let cameras = cameras.clone();
+        Several::new(files, move |reader| {
+            let asked = cameras.of(&reader)?;
+            let excluded = Files::left_out_in(&reader, &left);
+            Self::interpreted(reader, (Arc::clone(&interpreter), excluded), None, asked)
         })
     }
 
@@ -158,8 +193,8 @@ impl DemoSource for RobomimicSource {
         &self.info
     }
 
-    fn demos(&self) -> &[DemoName] {
-        self.reader.demos()
+    fn count(&self) -> usize {
+        self.demos().len()
     }
 
     fn episodes<E: From<IngestError> + Send>(
@@ -208,5 +243,50 @@ impl DemoSource for RobomimicSource {
     fn unchanged(&self) -> Result<(), IngestError> {
         self.reader.sources().unchanged()?;
         self.comparison.as_ref().map_or(Ok(()), Comparison::unchanged)
+    }
+}
+
+impl FileSource for RobomimicSource {
+    fn reader(&self) -> &RobomimicReader {
+        &self.reader
+    }
+
+    fn same(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    fn contradiction(&self) -> Result<Option<String>, IngestError> {
+        let mut first = None;
+        let (mut read, mut contradicting) = (0, 0);
+        for name in self.demos().iter().take(COMPARED) {
+            let demo = self.reader.left_out(&name.name, self.reader.read(name))?;
+            // Those that cannot be read are reported with the others.
+            let Ok(mut demo) = demo else { continue };
+            read += 1;
+            let why = match self.interpreter.interpret(&self.reader, &mut demo, None) {
+                Ok(interpreted) => interpreted.contradiction,
+                Err(error) if error.needs_library() => return Err(error),
+                Err(error) => Some(error.fault.to_string()),
+            };
+            if let Some(why) = why {
+                contradicting += 1;
+                first.get_or_insert(parts(&why).0.to_owned());
+            }
+        }
+        // A single one may be an odd demonstration.
+        Ok(first.filter(|_| read > 1 && contradicting == read))
+    }
+
+    fn general_warnings(&self) -> Result<Vec<Warning>, IngestError> {
+        let conventions = self.interpreter.warnings().iter();
+        let mut warnings: Vec<Warning> = conventions
+            .map(|text| Warning::new(WarningCode::Convention, text.clone(), 1))
+            .collect();
+        warnings.extend(self.reader.skipped_warning(&self.info.cameras)?);
+        Ok(warnings)
+    }
+
+    fn own_warnings(&self) -> Vec<Warning> {
+        self.reader.warnings().to_vec()
     }
 }

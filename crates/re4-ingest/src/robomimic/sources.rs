@@ -61,6 +61,11 @@ impl Sources {
         }
     }
 
+    /// Checks that the file at a path is still the one with this identity, without opening it.
+    pub(super) fn check(path: &Path, identity: &SourcesIdentity) -> Result<(), IngestError> {
+        check_unchanged(path, &identity.file).map_err(|fault| fault.of(path))
+    }
+
     /// Adds the models with these names, if they exist.
     #[must_use]
     pub fn with_models(mut self, names: impl IntoIterator<Item = String>) -> Self {

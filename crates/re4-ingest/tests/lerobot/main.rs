@@ -59,7 +59,7 @@ fn arm(path: &Path, keys: &LerobotKeys) -> Result<LerobotSource, IngestError> {
 fn read<S: DemoSource>(source: &S) -> (Vec<(DemoName, Frames)>, Vec<LeftOut>) {
     let (mut good, mut left) = (Vec::new(), Vec::new());
     source
-        .episodes(0..source.demos().len(), |place, episode| {
+        .episodes(0..source.count(), |place, episode| {
             match episode {
                 Ok(episode) => {
                     assert_eq!(episode.name, source.demos()[place]);

@@ -58,7 +58,7 @@ fn write_page(
     console: Console,
 ) -> Result<()> {
     let ingest = &runner.pipeline.ingest;
-    let source = ingest.source.display();
+    let source = &ingest.source;
     let settings: String = arguments
         .set
         .iter()

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use re4_fault::ensure;
 use re4_influence::{JudgedRow, RoundRow};
 use re4_ingest::robomimic::copy_with_filter;
@@ -91,10 +91,8 @@ fn toml(curated: &Curated, kept: &[String]) -> String {
 }
 
 fn write_mask(runner: &Runner, copy: &Path, key: &str, kept: &[String]) -> Result<()> {
-    let inputs = runner.inputs()?;
-    // The pipeline file comes first, then the dataset.
-    let source = inputs.get(1).context("the pipeline has no dataset")?;
-    Ok(copy_with_filter(source, copy, key, kept)?)
+    let source = runner.one_file("--mask")?;
+    Ok(copy_with_filter(&source, copy, key, kept)?)
 }
 
 fn judged_json(row: &JudgedRow) -> serde_json::Value {

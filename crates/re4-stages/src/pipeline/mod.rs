@@ -7,6 +7,7 @@ mod rollout;
 mod schema;
 mod sections;
 mod seeds;
+mod source;
 mod task;
 
 use anyhow::Result;
@@ -25,6 +26,8 @@ pub use rollout::{NoiseSection, Policy, RolloutSection};
 pub use schema::schema;
 pub use sections::{Estimates, IndexSection, IngestSection, PoseSection, PoseSource};
 pub use seeds::Seeds;
+pub use source::SourcePaths;
+pub(crate) use source::label;
 pub use task::Variant;
 
 /// One experiment: the dataset, how it is segmented and indexed, and how the policy is rolled out.

@@ -16,13 +16,17 @@ use re4_task::Camera;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::source::SourcePaths;
+
 /// How the raw dataset is converted to the artifact `episodes`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestSection {
     /// Path of the dataset: the folder or zip file of the Push-T zarr store, the folder of a LeRobot dataset, or the HDF5 file of a
-    /// robosuite task. A relative path is looked up in the folder that `RE4_DATA` names, then in `data`, then in the current folder.
-    pub source: PathBuf,
+    /// robosuite task. A folder of HDF5 files (`*.hdf5`, `*.h5`), or a list of their paths, is one dataset: see
+    /// [Several files](../guides/several-files.md). A relative path is looked up in the folder that `RE4_DATA` names, then in `data`,
+    /// then in the current folder.
+    pub source: SourcePaths,
     /// robosuite tasks: filter key below `/mask`, such as `train`; LeRobot datasets: name of a split. Only its demonstrations are
     /// ingested.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -8,6 +8,7 @@ mod lerobot;
 mod rendered;
 mod renumber;
 mod serve;
+mod several;
 mod spool;
 mod tables;
 mod worker;
@@ -33,6 +34,8 @@ use crate::runner::{Built, Runner};
 
 pub use describe::describe;
 pub use serve::serve_ingest;
+use several::Found;
+pub(crate) use several::one_file;
 use worker::Request;
 pub use worker::SUBCOMMAND as INGEST_WORKER;
 pub(crate) use worker::WorkerCrashed;
@@ -52,7 +55,19 @@ impl Runner {
     /// # Errors
     /// If the dataset cannot be ingested, a setting does not fit it, or the run is interrupted.
     pub fn ingest(&self) -> Result<Built> {
-        let path = find_source(&self.pipeline.ingest.source)?;
+        let planar = self.pipeline.task.is_planar();
+        let path = match several::found(&self.pipeline.ingest.source, |path| !planar && is_of_files(path))? {
+            Found::One(path) => path,
+            Found::Several(name, files) => {
+                ensure!(
+                    !planar,
+                    "cannot ingest {}: Push-T is read from one zarr store or LeRobot dataset", name.display();
+                    "give its path as ingest.source"
+                );
+                self.refuse_keys_of_lerobot(&name)?;
+                return self.ingest_several(name, files);
+            }
+        };
         if LerobotSource::probe(&path) {
             return self.ingest_lerobot(path);
         }
@@ -117,11 +132,22 @@ impl Runner {
     /// If a source is not found.
     pub fn inputs(&self) -> Result<Vec<PathBuf>> {
         let section = &self.pipeline.ingest;
-        let mut inputs = vec![self.file.clone(), find_source(&section.source)?];
+        let mut inputs = vec![self.file.clone()];
+        for path in section.source.paths() {
+            inputs.push(find_source(path)?);
+        }
         if let Some(compare) = &section.compare {
             inputs.push(find_source(compare)?);
         }
         Ok(inputs)
+    }
+
+    /// The file of a dataset of one file.
+    ///
+    /// # Errors
+    /// If the dataset has several; `what` needs one.
+    pub fn one_file(&self, what: &str) -> Result<PathBuf> {
+        one_file(&self.pipeline.ingest.source, what)
     }
 
     /// Returns an error if demonstrations were left out of an artifact and `ingest.on_bad` does not allow it. Needed because
@@ -134,6 +160,12 @@ impl Runner {
         }
         Err(refused(path, &left, kept as usize + left.len()).into())
     }
+}
+
+/// Whether a folder is read as one of HDF5 files: it is none of another format.
+fn is_of_files(path: &Path) -> bool {
+    let zarr = [".zgroup", ".zarray", "zarr.json"];
+    !LerobotSource::probe(path) && !zarr.iter().any(|name| path.join(name).exists())
 }
 
 /// The error for a dataset of `of` demonstrations of which `left` cannot be used.

@@ -51,8 +51,8 @@ impl Cell {
         let ingest = self.pipeline.as_ref().ok().map(|pipeline| &pipeline.ingest);
         let sources = ingest
             .into_iter()
-            .flat_map(|ingest| [Some(&ingest.source), ingest.compare.as_ref()]);
-        let found = sources.flatten().filter_map(|source| find_source(source).ok());
+            .flat_map(|ingest| ingest.source.paths().iter().chain(ingest.compare.as_ref()));
+        let found = sources.filter_map(|source| find_source(source).ok());
         [self.file.clone()].into_iter().chain(found).collect()
     }
 }

@@ -15,6 +15,7 @@ use self::layout::{ArmLayout, Array};
 use super::fault::Hdf5Fault;
 use super::file::{Element, Located};
 use super::reader::RobomimicReader;
+use super::several::{CamerasAsked, FileSource, Files, Several};
 use crate::demos::{DemoName, DemoSource, Episode, Frames, ImageBlock, Info, Tally};
 use crate::error::{Fault, IngestError};
 use crate::tables::{ArmColumns, Convention, LeftOut, SignalRole, SignalRow};
@@ -42,6 +43,11 @@ struct Found {
 const UNIT: f64 = 1e-3;
 
 impl ArmSource {
+    /// The requested demonstrations, in order.
+    pub fn demos(&self) -> &[DemoName] {
+        self.reader.demos()
+    }
+
     /// Creates a source from a reader. `cameras` are those with requested images.
     ///
     /// # Errors
@@ -72,6 +78,18 @@ impl ArmSource {
         };
         source.conventions = source.gripper_convention()?.into_iter().collect();
         Ok(source)
+    }
+
+    /// Several files as one dataset.
+    ///
+    /// # Errors
+    /// A file cannot be read, or differs from the first one.
+    pub fn several(files: Files, config: &ArmConfig, cameras: &CamerasAsked) -> Result<Several<Self>, IngestError> {
+        let (config, cameras) = (config.clone(), cameras.clone());
+        Several::new(files, move |reader| {
+            let asked = cameras.of(&reader)?;
+            Self::new(reader, &config, asked)
+        })
     }
 
     /// Whether an opened file is one of an arm, or of several: whether the gripper of the first is known, and the settings that choose
@@ -400,8 +418,8 @@ impl DemoSource for ArmSource {
         &self.layout.signals
     }
 
-    fn demos(&self) -> &[DemoName] {
-        self.reader.demos()
+    fn count(&self) -> usize {
+        self.demos().len()
     }
 
     fn episodes<E: From<IngestError> + Send>(
@@ -441,9 +459,7 @@ impl DemoSource for ArmSource {
     }
 
     fn warnings(&self, tally: &Tally) -> Result<Vec<Warning>, IngestError> {
-        let unused = WarningCode::UnusedObservations;
-        let own = self.reader.warnings().iter().filter(|warning| warning.code != unused);
-        let mut warnings: Vec<Warning> = own.cloned().collect();
+        let mut warnings = self.own_warnings();
         match tally.left_out_warning(self.demos().len()) {
             Some(left_out) => warnings.push(left_out),
             None => warnings.extend(self.reader.total_warning(tally.frames as u64)?),
@@ -454,5 +470,38 @@ impl DemoSource for ArmSource {
 
     fn unchanged(&self) -> Result<(), IngestError> {
         self.reader.sources().unchanged()
+    }
+}
+
+impl FileSource for ArmSource {
+    fn reader(&self) -> &RobomimicReader {
+        &self.reader
+    }
+
+    fn same(&self) -> Vec<(String, String)> {
+        let names: Vec<&str> = self.layout.signals.iter().map(|signal| signal.name.as_str()).collect();
+        let convention = self
+            .conventions
+            .iter()
+            .map(|row| row.value.to_string())
+            .collect::<Vec<_>>();
+        vec![
+            ("recorded numbers".to_owned(), names.join(", ")),
+            ("opening of the gripper".to_owned(), convention.join(", ")),
+        ]
+    }
+
+    fn contradiction(&self) -> Result<Option<String>, IngestError> {
+        Ok(None)
+    }
+
+    fn general_warnings(&self) -> Result<Vec<Warning>, IngestError> {
+        Ok(Vec::new())
+    }
+
+    fn own_warnings(&self) -> Vec<Warning> {
+        let unused = WarningCode::UnusedObservations;
+        let own = self.reader.warnings().iter().filter(|warning| warning.code != unused);
+        own.cloned().collect()
     }
 }

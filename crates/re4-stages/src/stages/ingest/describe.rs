@@ -5,9 +5,10 @@ use std::path::Path;
 use anyhow::Result;
 use re4_ingest::lerobot::LerobotDataset;
 use re4_ingest::pusht::PushtReader;
-use re4_ingest::robomimic::{Access, DemoChoice, RobomimicReader, RobomimicSource, Sources};
+use re4_ingest::robomimic::{Access, DemoChoice, RobomimicReader, RobomimicSource, Sources, files_of};
 use re4_ingest::{DemoSource as _, Description, Fault, IngestError, lerobot, pusht, robomimic};
 
+use super::several;
 use super::worker::{self, Question, Reader};
 use crate::interrupt::Interrupt;
 use crate::notes::Notes;
@@ -33,6 +34,17 @@ pub fn describe(path: &Path, interrupt: &Interrupt, notes: &Notes) -> Result<Opt
     }
     if RobomimicSource::probe(path) {
         return ask(Reader::Hdf5);
+    }
+    if path.is_dir() && super::is_of_files(path) {
+        // Other folders may have no HDF5 files.
+        let files = files_of(path).unwrap_or_default();
+        if let Some(first) = files.first() {
+            let mut about = describe(first, interrupt, notes)?;
+            if let Some(about) = &mut about {
+                about.notes.extend(several::note(&files));
+            }
+            return Ok(about);
+        }
     }
     let zarr = [".zgroup", "zarr.json"].iter().any(|name| path.join(name).is_file());
     let zip = path.is_file() && path.extension().is_some_and(|end| end.eq_ignore_ascii_case("zip"));

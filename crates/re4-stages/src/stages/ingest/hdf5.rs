@@ -135,7 +135,7 @@ impl Runner {
 
     /// Opens the file without the HDF5 library; `None` if its layout needs the library.
     fn open_direct(&self, sources: &Sources) -> Result<Option<RobomimicReader>> {
-        if std::env::var_os(HDF5_VARIABLE).is_some_and(|value| value == "library") {
+        if is_library_forced() {
             return Ok(None);
         }
         match RobomimicReader::open(sources, &choice(&self.pipeline, false), Access::Direct) {
@@ -148,7 +148,11 @@ impl Runner {
 /// For tests: the value `library` makes ingest read every file with the HDF5 library.
 const HDF5_VARIABLE: &str = "RE4_HDF5";
 
-fn needs_library(error: &anyhow::Error) -> bool {
+pub(super) fn is_library_forced() -> bool {
+    std::env::var_os(HDF5_VARIABLE).is_some_and(|value| value == "library")
+}
+
+pub(super) fn needs_library(error: &anyhow::Error) -> bool {
     let cause = error.downcast_ref::<IngestError>();
     cause.is_some_and(IngestError::needs_library)
 }
@@ -158,7 +162,7 @@ impl Request {
     fn compared(&self) -> Option<(&Path, Option<&Key>)> {
         match &self.format {
             Format::Hdf5(hdf5) => Some((hdf5.compare.as_deref()?, hdf5.compare_hash.as_ref())),
-            Format::Lerobot(_) => None,
+            Format::Several(_) | Format::Lerobot(_) => None,
         }
     }
 
@@ -313,7 +317,7 @@ fn rendering<'a>(request: &'a Request, reader: &RobomimicReader, env: &EnvArgs) 
     Ok(Some(Rendering::new(render, env, &request.source)?))
 }
 
-fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
+pub(super) fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
     DemoChoice {
         filter: pipeline.ingest.filter.clone(),
         select: pipeline.ingest.select.clone(),
@@ -321,7 +325,7 @@ fn choice(pipeline: &Pipeline, cautious: bool) -> DemoChoice {
     }
 }
 
-fn reading(pipeline: &Pipeline) -> Reading {
+pub(super) fn reading(pipeline: &Pipeline) -> Reading {
     let section = &pipeline.ingest;
     Reading {
         task: pipeline.task.robosuite(),

@@ -9,7 +9,7 @@ use re4_artifact::Store;
 use re4_fault::{OrFault as _, fault};
 
 use super::worker::{self, Format, Message, Work, send};
-use super::{describe, hdf5, helper, lerobot};
+use super::{describe, hdf5, helper, lerobot, several};
 use crate::addresses::local_store;
 use crate::interrupt::Interrupt;
 use crate::notes::fault_of;
@@ -87,6 +87,7 @@ fn serve(work: &Work, interrupt: &Interrupt) -> Result<Message> {
         .or_fault(|| fault!("cannot start {} worker threads", request.threads; "give a smaller --jobs"))?;
     match &request.format {
         Format::Hdf5(hdf5) => hdf5::serve(request, hdf5, interrupt),
+        Format::Several(members) => several::serve(request, members, interrupt),
         Format::Lerobot(files) => lerobot::serve(request, files.as_ref(), interrupt),
     }
 }

@@ -19,7 +19,7 @@ use re4_artifact::Key;
 use re4_fault::{Fault, OrFault as _, Remedy, bail, fault};
 use re4_ingest::Description;
 use re4_ingest::lerobot::LerobotFiles;
-use re4_ingest::robomimic::SourcesIdentity;
+use re4_ingest::robomimic::{Members, SourcesIdentity};
 use serde::{Deserialize, Serialize};
 use tracing::info;
 
@@ -123,6 +123,8 @@ pub(crate) struct Question {
 pub(crate) enum Format {
     /// An HDF5 file.
     Hdf5(Box<Hdf5>),
+    /// Several HDF5 files.
+    Several(Box<Members>),
     /// A LeRobot dataset, with the identity of the files that were hashed.
     Lerobot(Option<LerobotFiles>),
 }
@@ -181,7 +183,7 @@ impl Work {
         match self {
             Self::Describe(question) => question.reader,
             Self::Ingest(request) => match request.format {
-                Format::Hdf5(_) => Reader::Hdf5,
+                Format::Hdf5(_) | Format::Several(_) => Reader::Hdf5,
                 Format::Lerobot(_) => Reader::Lerobot,
             },
             Self::Render(_) => Reader::Hdf5,

@@ -74,7 +74,7 @@ pub(super) struct Ingest<'a> {
 impl Ingest<'_> {
     /// Makes and publishes the artifact, or this process's shard of it.
     pub(super) fn publish<S: DemoSource>(self, source: &S, store: &Store, recipe: &Recipe) -> Result<Artifact> {
-        let demos = source.demos().len();
+        let demos = source.count();
         let parts = parts_of(demos, DEMOS_IN_PART);
         let artifact = if parts == 1 || !source.can_be_read_in_parts() {
             self.share.builds_whole(store, recipe)?;
@@ -89,7 +89,7 @@ impl Ingest<'_> {
     }
 
     fn publish_whole<S: DemoSource>(&self, source: &S, store: &Store, recipe: &Recipe) -> Result<Artifact> {
-        let demos = source.demos().len();
+        let demos = source.count();
         let part = Range {
             demos: 0..demos,
             first: 0,
@@ -103,7 +103,7 @@ impl Ingest<'_> {
     }
 
     fn publish_parts<S: DemoSource>(&self, source: &S, store: &Store, recipe: &Recipe, parts: u32) -> Result<Artifact> {
-        let demos = source.demos().len();
+        let demos = source.count();
         let parting = Parting {
             store,
             recipe,
@@ -195,7 +195,7 @@ impl Ingest<'_> {
         excluded: &[LeftOut],
         writer: &Writer,
     ) -> Result<Result<Written, Vec<LeftOut>>> {
-        let demos = source.demos().len();
+        let demos = source.count();
         let refuse = self.refuses();
         let mut left: Vec<LeftOut> = Vec::new();
         let mut left_frames = LeftOutFrames::new(writer);
@@ -203,8 +203,11 @@ impl Ingest<'_> {
             source.episodes(part.demos.clone(), |place, episode| {
                 self.interrupt.check(STAGE)?;
                 (self.progress)(place as u64 + 1, demos as u64);
-                let name = &source.demos()[place].name;
-                let known = excluded.iter().find(|left| left.demo == *name);
+                let name = match &episode {
+                    Ok(episode) => episode.name.name.clone(),
+                    Err(left) => left.demo.clone(),
+                };
+                let known = excluded.iter().find(|left| left.demo == name);
                 match known.map_or(episode, |known| Err(known.clone())) {
                     Err(bad) => left.push(bad),
                     Ok(Episode {
@@ -215,8 +218,7 @@ impl Ingest<'_> {
                         if !refuse {
                             left_frames.write(left.len(), frames)?;
                         }
-                        let demo = name.clone();
-                        left.push(LeftOut { demo, why });
+                        left.push(LeftOut { demo: name, why });
                     }
                     // The dataset will be refused; the rest is read only to find all bad demonstrations.
                     Ok(_) if refuse && !left.is_empty() => {}
