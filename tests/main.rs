@@ -13,6 +13,7 @@ mod audit_page;
 mod bad_input;
 mod cli;
 mod compare;
+mod compare_shards;
 mod dependencies;
 mod encoder;
 mod engines;

@@ -116,7 +116,8 @@ table! {
 table! {
     /// One row per scene and demonstration on which its episode depends: the episode with and without the demonstration. In all other
     /// combinations, the episode is the same without the demonstration. The rows of a scene that fails name the demonstrations to
-    /// blame: without those with success_without, it succeeds. Sorted by kind of scenes, demonstration and scene.
+    /// blame: without those with success_without, it succeeds. Sorted by kind of scenes, demonstration and scene, in each part of the
+    /// artifact.
     #[table("influence_pairs", version = 1)]
     pub struct PairRow {
         /// Where the scene is from.
@@ -236,26 +237,49 @@ pub struct Demo {
     pub start: [f64; 2],
 }
 
-/// The rows of table `influence` for one kind of scenes, one for each of `demos`.
-pub fn influence_rows(scenes: Scenes, demos: &[Demo], base: &Evaluation, changes: &[Change]) -> Vec<InfluenceRow> {
-    demos
-        .par_iter()
-        .enumerate()
-        .map(|(number, demo)| influence_row(scenes, number as u32, demo, base, changes))
-        .collect()
+/// The rows of table `influence`: one for each of `demos` and each kind of scenes that has any, from the rows of the other two tables,
+/// in any order of the pairs.
+pub fn influence_rows(demos: &[Demo], episodes: &[JudgedEpisodeRow], pairs: &[PairRow]) -> Vec<InfluenceRow> {
+    let mut rows = Vec::new();
+    for scenes in [Scenes::Given, Scenes::Starts] {
+        let of_kind: Vec<u32> = episodes
+            .iter()
+            .filter(|row| row.scenes == scenes)
+            .map(|row| row.seed)
+            .collect();
+        if of_kind.is_empty() {
+            continue;
+        }
+        let places: BTreeMap<u32, usize> = of_kind.iter().copied().zip(0..).collect();
+        let mut own: Vec<(u32, usize, &PairRow)> = pairs
+            .iter()
+            .filter(|pair| pair.scenes == scenes)
+            .filter_map(|pair| Some((pair.demo, *places.get(&pair.seed)?, pair)))
+            .collect();
+        own.sort_unstable_by_key(|&(demo, place, _)| (demo, place));
+        let row = |(number, demo): (usize, &Demo)| {
+            let number = number as u32;
+            let first = own.partition_point(|&(other, ..)| other < number);
+            let end = own.partition_point(|&(other, ..)| other <= number);
+            influence_row(scenes, number, demo, of_kind.len(), &own[first..end])
+        };
+        rows.par_extend(demos.par_iter().enumerate().map(row));
+    }
+    rows
 }
 
-fn influence_row(scenes: Scenes, demo: u32, about: &Demo, base: &Evaluation, changes: &[Change]) -> InfluenceRow {
-    let first = changes.partition_point(|change| change.demo < demo);
-    let own: Vec<&Change> = changes[first..]
-        .iter()
-        .take_while(|change| change.demo == demo)
-        .collect();
-    let pairs = || own.iter().map(|change| (&base.episodes[change.scene], &change.after));
-    let change = |value: &dyn Fn(&Traced) -> f64| {
-        let mut differences = vec![0.0; base.episodes.len()];
-        for change in &own {
-            differences[change.scene] = value(&change.after) - value(&base.episodes[change.scene]);
+/// `pairs` are those of the demonstration with the places of their scenes, in that order.
+fn influence_row(
+    scenes: Scenes,
+    demo: u32,
+    about: &Demo,
+    episodes: usize,
+    pairs: &[(u32, usize, &PairRow)],
+) -> InfluenceRow {
+    let change = |value: &dyn Fn(&PairRow) -> f64| {
+        let mut differences = vec![0.0; episodes];
+        for (_, place, pair) in pairs {
+            differences[*place] = value(pair);
         }
         if differences.iter().all(|difference| *difference == 0.0) {
             return Interval {
@@ -266,32 +290,33 @@ fn influence_row(scenes: Scenes, demo: u32, about: &Demo, base: &Evaluation, cha
         }
         mean_interval(&differences, BOOTSTRAP_SEED)
     };
-    let success = change(&|episode| f64::from(u8::from(episode.success)));
-    let score = change(&|episode| episode.score);
-    let steps = pairs().map(|(with, after)| f64::from(after.steps) - f64::from(with.steps));
-    let follows = |episode: &&Traced| episode.followed.contains(&demo);
-    let followed = || base.episodes.iter().filter(follows);
+    let number = |success: bool| f64::from(u8::from(success));
+    let success = change(&|pair| number(pair.success_without) - number(pair.success));
+    let score = change(&|pair| pair.score_without - pair.score);
+    let rows = || pairs.iter().map(|(_, _, pair)| *pair);
+    let steps = rows().map(|pair| f64::from(pair.steps_without) - f64::from(pair.steps));
+    let followed = || rows().filter(|pair| pair.decisions > 0);
     InfluenceRow {
         scenes,
         demo,
         demo_name: Some(about.name.clone()),
         start_x: about.start[0],
         start_y: about.start[1],
-        episodes: base.episodes.len() as u32,
-        decisions: followed().map(|episode| decisions(episode, demo)).sum(),
+        episodes: episodes as u32,
+        decisions: followed().map(|pair| pair.decisions).sum(),
         followed: followed().count() as u32,
-        successes: followed().filter(|episode| episode.success).count() as u32,
-        failures: followed().filter(|episode| !episode.success).count() as u32,
-        depending: own.len() as u32,
-        repaired: pairs().filter(|(with, after)| !with.success && after.success).count() as u32,
-        broken: pairs().filter(|(with, after)| with.success && !after.success).count() as u32,
+        successes: followed().filter(|pair| pair.success).count() as u32,
+        failures: followed().filter(|pair| !pair.success).count() as u32,
+        depending: pairs.len() as u32,
+        repaired: rows().filter(|pair| !pair.success && pair.success_without).count() as u32,
+        broken: rows().filter(|pair| pair.success && !pair.success_without).count() as u32,
         success_change: success.value,
         success_low: success.low,
         success_high: success.high,
         score_change: score.value,
         score_low: score.low,
         score_high: score.high,
-        steps_change: steps.sum::<f64>() / base.episodes.len().max(1) as f64,
+        steps_change: steps.sum::<f64>() / episodes.max(1) as f64,
     }
 }
 

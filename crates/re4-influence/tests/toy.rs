@@ -6,8 +6,8 @@ use std::convert::Infallible;
 use std::sync::Arc;
 
 use re4_influence::{
-    Aim, By, Curate, Demo, Episode, Evaluation, Roll, Scenes, Score, Without, curate, evaluate, evaluate_without,
-    influence_rows, leave_one_out,
+    Aim, By, Curate, Demo, Episode, Evaluation, Roll, Scenes, Score, Without, curate, episode_rows, evaluate,
+    evaluate_without, influence_rows, leave_one_out, pair_rows,
 };
 use re4_rollout::Traced;
 
@@ -85,7 +85,12 @@ fn leaving_one_out_is_brute_force_at_the_cost_of_what_depends() {
             start: [place(demo), 0.0],
         })
         .collect();
-    let rows = influence_rows(Scenes::Given, &demos, &base, &changes);
+    let episodes = episode_rows(Scenes::Given, &base, &changes);
+    let mut pairs = pair_rows(Scenes::Given, &demos, &base, &changes);
+    let rows = influence_rows(&demos, &episodes, &pairs);
+    // Pairs of parts are in another order.
+    pairs.reverse();
+    assert_eq!(influence_rows(&demos, &episodes, &pairs), rows);
     let mut flipped = 0;
     for (demo, row) in (0..).zip(&rows) {
         let without = brute(scenes, [demo]);

@@ -5,6 +5,7 @@ mod common;
 mod curate;
 mod export;
 mod plan;
+mod suite;
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -20,6 +21,7 @@ use crate::commands::plan::sources_of;
 pub(crate) use self::curate::{AimArgument, ByArgument};
 pub(crate) use self::export::{ExportArguments, ExportFormat};
 pub(crate) use self::plan::{MergeArguments, PlanArguments, StatusArguments};
+pub(crate) use self::suite::{CompareArguments, SelectedArguments};
 
 /// From robot demonstrations to explainable imitation policies.
 ///
@@ -69,7 +71,7 @@ pub(crate) enum Command {
     Run(RolloutArguments),
     /// Publish an artifact whose parts were made with --shard; exits with code 3 if parts are missing
     Merge(MergeArguments),
-    /// List the commands that run a pipeline in parts, for a cluster, and what they need
+    /// List the commands that run a pipeline or a suite in parts, for a cluster, and what they need
     Plan(PlanArguments),
     /// Show which parts of a plan exist
     Status(StatusArguments),
@@ -353,32 +355,6 @@ pub(crate) struct RolloutArguments {
     /// Push-T: also write the rollouts as a dataset in Push-T's zarr format; the folder must not exist
     #[arg(long, value_name = "OUT.zarr")]
     pub(crate) record: Option<PathBuf>,
-}
-
-/// Arguments of `compare`.
-#[derive(Debug, Clone, Args)]
-pub(crate) struct CompareArguments {
-    /// Suite file
-    #[arg(value_name = "SUITE.toml")]
-    pub(crate) suite: PathBuf,
-    /// Names of the rows to run, separated by commas [default: all]
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(crate) rows: Vec<String>,
-    /// Names of the columns to run, separated by commas [default: all]
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(crate) columns: Vec<String>,
-    /// Override a setting of every cell's pipeline; can be repeated
-    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
-    pub(crate) set: Vec<String>,
-    /// Seeds of the scenes in place of those of the suite, such as 500..600 (600 is excluded)
-    #[arg(long, value_name = "SEEDS")]
-    pub(crate) seeds: Option<Seeds>,
-    /// HTML page to write [default: the name of the suite file with the ending .html, in the current folder]
-    #[arg(long, short, value_name = "OUT.html")]
-    pub(crate) output: Option<PathBuf>,
-    /// Options of all commands.
-    #[command(flatten)]
-    pub(crate) common: Common,
 }
 
 /// Arguments of `replay`.

@@ -17,7 +17,9 @@ use crate::output::Output;
 pub(crate) fn print_share(share: &Partly, json: bool) -> ExitCode {
     let printed = if json {
         let value = serde_json::to_value(share).unwrap_or_default();
-        writeln!(std::io::stdout(), "{}", value["made"])
+        // The name of the variant is left out.
+        let fields = value.as_object().and_then(|variant| variant.values().next());
+        writeln!(std::io::stdout(), "{}", fields.unwrap_or(&Value::Null))
     } else {
         writeln!(std::io::stdout(), "{share}")
     };

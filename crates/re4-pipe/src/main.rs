@@ -80,8 +80,8 @@ fn main() -> ExitCode {
         Err(error) => {
             if answer() {
                 match error.downcast_ref::<Partly>() {
-                    Some(partly @ Partly::Made { .. }) => return console::print_share(partly, json),
-                    Some(Partly::Missing { .. }) => {
+                    Some(partly) if !partly.is_missing() => return console::print_share(partly, json),
+                    Some(_) => {
                         console::print_error(&error, json);
                         return ExitCode::from(PARTS_MISSING);
                     }

@@ -82,24 +82,26 @@ pub struct Traced {
     /// The demonstrations that the policy followed, one per decision that follows one, in order.
     pub followed: Vec<u32>,
     /// The demonstrations without which a decision might have been another one. Without any other demonstration, the episode is the
-    /// same.
+    /// same. Contains all that the policy followed.
     pub considered: BTreeSet<u32>,
 }
 
 impl Traced {
-    fn of<D: Recorded, X: Explained<D>>(rollout: &Rollout<D, X>, considered: BTreeSet<u32>) -> Self {
+    fn of<D: Recorded, X: Explained<D>>(rollout: &Rollout<D, X>, mut considered: BTreeSet<u32>) -> Self {
         let names = DemoNames::default();
         let decisions = rollout.decisions.iter();
+        let followed: Vec<u32> = decisions
+            .filter_map(|decision| decision.explanation(&names).demo)
+            .map(|(demo, ..)| demo)
+            .collect();
+        considered.extend(&followed);
         Self {
             seed: rollout.start.seed,
             success: rollout.success(),
             score: D::score(rollout),
             steps: rollout.steps.len() as u32,
             start: D::start(&rollout.first),
-            followed: decisions
-                .filter_map(|decision| decision.explanation(&names).demo)
-                .map(|(demo, ..)| demo)
-                .collect(),
+            followed,
             considered,
         }
     }

@@ -43,7 +43,8 @@ pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, leaves, warning_text};
 pub use stages::{
     AnyLivePolicy, BudgetRow, Checked, Compared, Curated, Curation, DivergenceRow, INGEST_WORKER, Influenced, Judge,
-    LivePolicy, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay, compare, describe,
-    metrics, open_policy, read_rollouts, serve_ingest,
+    LivePolicy, PlanarDivergenceRow, PlanarReplay, PlannedCell, PlannedSuite, ReplayRow, SpatialDivergence,
+    SpatialReplay, compare, compare_inputs, compare_shard, describe, merge_comparison, metrics, open_policy,
+    planned_suite, read_rollouts, serve_ingest,
 };
-pub use suite::{Cell, Selection, Suite, read_suite, suite_schema};
+pub use suite::{Cell, Selection, Suite, is_suite, read_suite, suite_schema};

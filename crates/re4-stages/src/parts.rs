@@ -29,6 +29,8 @@ pub enum Share {
     Parts(Stage, Shard),
     /// Only the manifest of this stage's artifact, from parts that exist.
     Merge(Stage),
+    /// Only manifests, of the artifacts of all stages, from parts that exist.
+    Existing,
 }
 
 /// The text of a [`Share`] for the worker process.
@@ -36,23 +38,29 @@ pub enum Share {
 struct ShareText {
     stage: Option<String>,
     shard: Option<String>,
+    #[serde(default)]
+    existing: bool,
 }
 
 impl Serialize for Share {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (stage, shard) = match self {
-            Self::Whole => (None, None),
+            Self::Whole | Self::Existing => (None, None),
             Self::Parts(stage, shard) => (Some(stage.to_string()), Some(shard.to_string())),
             Self::Merge(stage) => (Some(stage.to_string()), None),
         };
-        ShareText { stage, shard }.serialize(serializer)
+        let existing = *self == Self::Existing;
+        ShareText { stage, shard, existing }.serialize(serializer)
     }
 }
 
 impl<'de> Deserialize<'de> for Share {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error as _;
-        let ShareText { stage, shard } = ShareText::deserialize(deserializer)?;
+        let ShareText { stage, shard, existing } = ShareText::deserialize(deserializer)?;
+        if existing {
+            return Ok(Self::Existing);
+        }
         let Some(stage) = stage else { return Ok(Self::Whole) };
         let stage = Stage::from_name(&stage).ok_or_else(|| D::Error::custom("unknown stage"))?;
         Ok(match shard {
@@ -94,12 +102,70 @@ pub enum Partly {
         /// Numbers of the missing parts.
         missing: Vec<u32>,
     },
+    /// The process has run its shard of a suite.
+    #[error("{}", of_cells(suite, cells, *all, *parts, [*first, *end], failed))]
+    Ran {
+        /// The suite file.
+        suite: PathBuf,
+        /// Number of cells of the suite.
+        all: u32,
+        /// Number of parts of the rollouts of all cells.
+        parts: u32,
+        /// First part of the shard.
+        first: u32,
+        /// End of the shard, exclusive.
+        end: u32,
+        /// The cells of which the shard has parts.
+        cells: Vec<String>,
+        /// Those of them that cannot run.
+        failed: Vec<String>,
+    },
+    /// Rollouts of cells are missing.
+    #[error("cannot compare the cells of {}: the rollouts of {} of its {all} cells are missing: {}", suite.display(), cells.len(), cells.join(", "))]
+    MissingCells {
+        /// The suite file.
+        suite: PathBuf,
+        /// Number of cells of the suite.
+        all: u32,
+        /// The cells, each with the numbers of its missing parts if it has several.
+        cells: Vec<String>,
+    },
+}
+
+impl Partly {
+    /// Whether this is an error: parts are missing. Otherwise the process has done its shard.
+    pub fn is_missing(&self) -> bool {
+        matches!(self, Self::Missing { .. } | Self::MissingCells { .. })
+    }
+}
+
+fn of_cells(suite: &Path, cells: &[String], all: u32, parts: u32, own: [u32; 2], failed: &[String]) -> String {
+    let [start, end] = own;
+    let mut text = format!(
+        "ran the parts {start}..{end} of {parts} of {}: {} of its {all} cells",
+        suite.display(),
+        cells.len()
+    );
+    for (before, names) in [(": ", cells), ("; cannot run: ", failed)] {
+        if !names.is_empty() {
+            text += before;
+            text += &names.join(", ");
+        }
+    }
+    text
 }
 
 impl Remedy for Partly {
     fn remedy(&self) -> Option<std::borrow::Cow<'_, str>> {
         match self {
-            Self::Made { .. } => None,
+            Self::Made { .. } | Self::Ran { .. } => None,
+            Self::MissingCells { suite, .. } => Some(
+                format!(
+                    "run them with re4-pipe compare {0} and --shard, or run re4-pipe compare {0} to run all that is missing",
+                    suite.display()
+                )
+                .into(),
+            ),
             Self::Missing { stage, .. } => Some(
                 format!(
                     "make them with re4-pipe {stage} and --shard, or run re4-pipe {stage} to make all that is missing"
@@ -111,7 +177,7 @@ impl Remedy for Partly {
 }
 
 /// Numbers in ascending order as ranges with their last number, such as `3, 7-9`.
-fn ranges(numbers: &[u32]) -> String {
+pub(crate) fn ranges(numbers: &[u32]) -> String {
     let mut texts: Vec<String> = Vec::new();
     for run in numbers.chunk_by(|a, b| a + 1 == *b) {
         texts.push(match run {
@@ -124,6 +190,11 @@ fn ranges(numbers: &[u32]) -> String {
 }
 
 impl Share {
+    /// Whether no part of the artifact of a stage is made.
+    fn only_merges(self, stage: Stage) -> bool {
+        self == Self::Existing || self == Self::Merge(stage)
+    }
+
     /// Whether a process with this shard builds the artifact of `stage` if it has only one part. If not, the error says so.
     pub(crate) fn builds_whole(self, store: &Store, recipe: &Recipe) -> Result<()> {
         let artifact = || store.folder(recipe.stage(), &recipe.key());
@@ -138,7 +209,7 @@ impl Share {
                 made: 0,
             }
             .into()),
-            Self::Merge(own) if own == stage => Err(Partly::Missing {
+            share if share.only_merges(stage) => Err(Partly::Missing {
                 stage: stage.to_string(),
                 artifact: artifact(),
                 parts: 1,
@@ -207,7 +278,7 @@ impl Parting<'_> {
         let folder = self.store.folder(stage, &self.recipe.key());
         let own = match self.share {
             Share::Parts(of, shard) if of == stage => shard.parts(self.parts),
-            Share::Merge(of) if of == stage => 0..0,
+            share if share.only_merges(stage) => 0..0,
             _ => 0..self.parts,
         };
         let mut made = 0;
@@ -308,6 +379,7 @@ mod tests {
             Share::Whole,
             Share::Parts(Stage::Ingest, "3/8".parse().unwrap()),
             Share::Merge(Stage::Segment),
+            Share::Existing,
         ];
         for share in shares {
             let text = serde_json::to_string(&share).unwrap();

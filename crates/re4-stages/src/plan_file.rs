@@ -8,6 +8,7 @@ use re4_fault::{OrFault as _, ensure, fault};
 use serde::{Deserialize, Serialize};
 
 use crate::hashes::HashedFile;
+use crate::suite::Selection;
 
 /// The tasks of a pipeline, in groups. The tasks of a group can run at the same time.
 #[derive(Debug, Serialize, Deserialize)]
@@ -24,6 +25,9 @@ pub struct Plan {
     pub sources: Vec<HashedFile>,
     /// Overrides of the pipeline's settings.
     pub overrides: Vec<String>,
+    /// For a suite: the cells. The field `pipeline` is the suite file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub suite: Option<Selection>,
     /// Maximum number of tasks of a group.
     pub shards: u32,
     /// The groups, in an order in which they can run.

@@ -107,6 +107,15 @@ impl Session {
         }
     }
 
+    /// The same session with hashes of sources that need not be computed again.
+    #[must_use]
+    pub fn trusting(self, hashes: &[HashedFile]) -> Self {
+        Self {
+            hashes: Arc::new(Hashes::of(hashes)),
+            ..self
+        }
+    }
+
     /// The runner of a pipeline that was read from `file`.
     pub fn runner(&self, file: &Path, pipeline: Pipeline) -> Runner {
         let session = Self {
@@ -190,6 +199,12 @@ impl Runner {
         runner.session.notes = Notes::new(true);
         runner.session.share = share;
         runner
+    }
+
+    /// The same runner, which makes only a share of the artifacts.
+    pub(crate) fn with_share(mut self, share: Share) -> Self {
+        self.session.share = share;
+        self
     }
 
     /// Reads the pipeline file, sets up threads and opens the store.

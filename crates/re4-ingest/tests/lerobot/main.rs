@@ -62,7 +62,7 @@ fn read<S: DemoSource>(source: &S) -> (Vec<(DemoName, Frames)>, Vec<LeftOut>) {
         .episodes(0..source.count(), |place, episode| {
             match episode {
                 Ok(episode) => {
-                    assert_eq!(episode.name, source.demos()[place]);
+                    assert_eq!(place, good.len() + left.len());
                     good.push((episode.name, episode.frames));
                 }
                 Err(bad) => left.push(bad),

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use re4_artifact::Stage;
 
-use super::{Common, RolledArguments, StageArguments};
+use super::{Common, RolledArguments, SelectedArguments, StageArguments};
 
 /// A stage of a pipeline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -20,6 +20,8 @@ pub(crate) enum StageArgument {
     Train,
     Scenes,
     Rollout,
+    Compare,
+    Influence,
 }
 
 impl From<StageArgument> for Stage {
@@ -34,6 +36,8 @@ impl From<StageArgument> for Stage {
             StageArgument::Train => Self::Train,
             StageArgument::Scenes => Self::Scenes,
             StageArgument::Rollout => Self::Rollout,
+            StageArgument::Compare => Self::Compare,
+            StageArgument::Influence => Self::Influence,
         }
     }
 }
@@ -41,7 +45,7 @@ impl From<StageArgument> for Stage {
 /// Arguments of `merge`.
 #[derive(Debug, Clone, Args)]
 pub(crate) struct MergeArguments {
-    /// Stage whose artifact is published
+    /// Stage whose artifact is published; compare takes a suite file instead of a pipeline file
     #[arg(value_name = "STAGE", value_enum)]
     pub(crate) of: StageArgument,
     /// Arguments of all stages.
@@ -50,6 +54,12 @@ pub(crate) struct MergeArguments {
     /// Settings of rollouts.
     #[command(flatten)]
     pub(crate) rolled: RolledArguments,
+    /// The cells of a suite, for compare.
+    #[command(flatten)]
+    pub(crate) selected: SelectedArguments,
+    /// Influence: scenes per demonstration, as for re4-pipe influence
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub(crate) starts: u32,
 }
 
 /// Arguments of `plan`.
@@ -61,6 +71,9 @@ pub(crate) struct PlanArguments {
     /// Settings of rollouts.
     #[command(flatten)]
     pub(crate) rolled: RolledArguments,
+    /// The cells of a suite.
+    #[command(flatten)]
+    pub(crate) selected: SelectedArguments,
     /// Maximum number of tasks per stage
     #[arg(long, value_name = "N")]
     pub(crate) shards: NonZeroU32,

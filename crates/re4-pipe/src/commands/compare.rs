@@ -1,17 +1,19 @@
 //! `re4-pipe compare`: runs the cells of a suite, and writes the `comparison` artifact and its page.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Result;
 use re4_compare::{CellRow, DifferenceRow};
 use re4_report::comparison_page;
-use re4_stages::{Cell, Compared, Notes, Selection, Session, Suite, read_suite};
+use re4_stages::{Cell, Compared, Suite, compare_inputs, compare_shard, read_suite};
 use serde_json::{Value, json};
 
 use super::Outcome;
-use crate::arguments::CompareArguments;
+use super::plan::sources_of;
+use super::suite::session;
+use crate::arguments::{Common, CompareArguments};
 use crate::console::Console;
 use crate::output::Output;
 
@@ -21,51 +23,79 @@ pub(crate) fn compare(arguments: &CompareArguments) -> Result<Outcome> {
     let CompareArguments {
         common, suite: file, ..
     } = arguments;
-    let console = Console::new(common);
-    let selection = Selection {
-        rows: trimmed(&arguments.rows),
-        columns: trimmed(&arguments.columns),
-        seeds: arguments.seeds.clone(),
-        set: arguments.set.clone(),
-    };
+    let selected = &arguments.selected;
+    let selection = selected.selection(arguments.seeds.clone(), arguments.set.clone());
     let (suite, cells) = read_suite(file, &selection)?;
-    // A page that cannot be written is refused before any cell runs.
-    let default = || PathBuf::from(file.file_stem().unwrap_or_default()).with_extension("html");
-    let path = arguments.output.clone().unwrap_or_else(default);
-    let output = Output::at(&path, "page")?;
-    let inputs = cells.iter().flat_map(Cell::inputs).chain([file.clone()]);
-    output.refuse_inputs(&inputs.collect::<Vec<_>>())?;
-    let session = Session::open(&common.artifacts, common.jobs, Notes::new(common.quiet))?.of_many_pipelines();
-    let compared = re4_stages::compare(&session, &suite, &cells)?;
-    let page = comparison_page(&compared.built.artifact, &common.artifacts)?;
-    output.write(&page)?;
-    let size = page.len() as f64 / 1e6;
-    console.note(&format!("{:>10}  {}  {size:.1} MB", "page", path.display()));
-    let mut answer = compared.built.to_json();
-    for (name, value) in [
-        ("suite", json!(file)),
-        ("page", json!(path)),
-        ("failed", json!(compared.failed)),
-        ("cells", compared.cells.iter().map(cell_json).collect()),
-        (
-            "differences",
-            compared.differences.iter().map(difference_json).collect(),
-        ),
-        ("wall_s", json!(start.elapsed().as_secs_f64())),
-    ] {
-        answer[name] = value;
+    let plan = arguments.plan.as_deref();
+    let hashes = plan.map(sources_of).transpose()?.unwrap_or_default();
+    if let Some(shard) = arguments.shard {
+        let session = session(common, &hashes)?;
+        let run = if arguments.inputs {
+            compare_inputs
+        } else {
+            compare_shard
+        };
+        return Err(run(&session, file, &cells, shard)?.into());
     }
-    console.answer(&answer)?;
-    console.say(&text(&suite, &compared)?)?;
-    Ok(if compared.failed == 0 {
-        Outcome::Done
-    } else {
-        Outcome::GateFailed
-    })
+    let page = Page::at(arguments.output.as_deref(), file, &cells)?;
+    let session = session(common, &hashes)?;
+    let compared = re4_stages::compare(&session, &suite, &cells)?;
+    page.finish(common, file, &suite, &compared, start)
 }
 
-fn trimmed(names: &[String]) -> Vec<String> {
-    names.iter().map(|name| name.trim().to_owned()).collect()
+/// The page of a comparison.
+pub(super) struct Page {
+    path: PathBuf,
+    output: Output,
+}
+
+impl Page {
+    /// Checks the path of the page before any cell runs.
+    pub(super) fn at(path: Option<&Path>, file: &Path, cells: &[Cell]) -> Result<Self> {
+        let default = || PathBuf::from(file.file_stem().unwrap_or_default()).with_extension("html");
+        let path = path.map_or_else(default, Path::to_path_buf);
+        let output = Output::at(&path, "page")?;
+        let inputs = cells.iter().flat_map(Cell::inputs).chain([file.to_path_buf()]);
+        output.refuse_inputs(&inputs.collect::<Vec<_>>())?;
+        Ok(Self { path, output })
+    }
+
+    /// Writes the page and prints the comparison.
+    pub(super) fn finish(
+        &self,
+        common: &Common,
+        file: &Path,
+        suite: &Suite,
+        compared: &Compared,
+        start: Instant,
+    ) -> Result<Outcome> {
+        let console = Console::new(common);
+        let page = comparison_page(&compared.built.artifact, &common.artifacts)?;
+        self.output.write(&page)?;
+        let size = page.len() as f64 / 1e6;
+        console.note(&format!("{:>10}  {}  {size:.1} MB", "page", self.path.display()));
+        let mut answer = compared.built.to_json();
+        for (name, value) in [
+            ("suite", json!(file)),
+            ("page", json!(self.path)),
+            ("failed", json!(compared.failed)),
+            ("cells", compared.cells.iter().map(cell_json).collect()),
+            (
+                "differences",
+                compared.differences.iter().map(difference_json).collect(),
+            ),
+            ("wall_s", json!(start.elapsed().as_secs_f64())),
+        ] {
+            answer[name] = value;
+        }
+        console.answer(&answer)?;
+        console.say(&text(suite, compared)?)?;
+        Ok(if compared.failed == 0 {
+            Outcome::Done
+        } else {
+            Outcome::GateFailed
+        })
+    }
 }
 
 fn cell_json(row: &CellRow) -> Value {

@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 use anyhow::Result;
+use re4_artifact::Stage;
+use re4_fault::ensure;
 use re4_influence::InfluenceRow;
 use re4_stages::Judge;
 use serde_json::json;
@@ -20,7 +22,11 @@ const PRINTED: usize = 10;
 pub(crate) fn influence(arguments: &InfluenceArguments) -> Result<Outcome> {
     let start = Instant::now();
     let console = Console::new(&arguments.stage.common);
-    let runner = arguments.rolled.runner(&arguments.stage)?;
+    ensure!(
+        arguments.stage.shard.is_none() || (arguments.check == 0 && arguments.html.is_none()),
+        "--check and --html do not apply to a shard"; "give them to re4-pipe influence after re4-pipe merge influence"
+    );
+    let runner = arguments.rolled.runner_of(Stage::Influence, &arguments.stage)?;
     runner.pipeline.needs_object()?;
     let output = arguments
         .html

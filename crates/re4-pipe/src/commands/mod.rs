@@ -14,6 +14,7 @@ pub(crate) mod query;
 pub(crate) mod report;
 pub(crate) mod run;
 pub(crate) mod schemas;
+pub(crate) mod suite;
 pub(crate) mod verify;
 pub(crate) mod video;
 

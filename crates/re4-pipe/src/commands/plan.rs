@@ -4,14 +4,16 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::Stage;
+use re4_artifact::{Shard, Stage};
 use re4_fault::{OrFault as _, ensure, fault};
-use re4_stages::{Group, HashedFile, Notes, Plan, PlannedStage, Runner, Settings, Share, address_of, memory_mb};
+use re4_stages::{
+    Group, HashedFile, Judge, Notes, Plan, PlannedStage, Runner, Settings, Share, address_of, is_suite, memory_mb,
+};
 use serde_json::json;
 
-use super::Outcome;
 use super::audit::LEAVE_OUT;
-use crate::arguments::{MergeArguments, PlanArguments, StageArguments, StatusArguments};
+use super::{Outcome, suite};
+use crate::arguments::{MergeArguments, PlanArguments, RolledArguments, StageArguments, StatusArguments};
 use crate::console::Console;
 
 /// `re4-pipe merge`.
@@ -22,12 +24,25 @@ pub(crate) fn merge(arguments: &MergeArguments) -> Result<Outcome> {
         arguments.stage.shard.is_none(),
         "--shard does not apply to merge, which publishes the whole artifact"; "remove it"
     );
+    ensure!(
+        arguments.starts == 0 || stage == Stage::Influence,
+        "--starts applies only to merge influence"; "remove it"
+    );
+    if stage == Stage::Compare {
+        return suite::merge(arguments);
+    }
+    suite::refuse_selected(&arguments.selected, &arguments.stage.pipeline)?;
     let mut overrides = arguments.rolled.overrides();
     if matches!(stage, Stage::Observe | Stage::Audit) {
         overrides.push(LEAVE_OUT.to_owned());
     }
     let runner = arguments.stage.runner_sharing(Share::Merge(stage), &overrides)?;
-    let built = runner.artifact_of(stage)?;
+    let built = if stage == Stage::Influence {
+        let starts = arguments.starts;
+        runner.influence(Judge { starts })?.built
+    } else {
+        runner.artifact_of(stage)?
+    };
     super::run::answer(console, &runner, &built)
 }
 
@@ -38,6 +53,10 @@ pub(crate) fn sources_of(plan: &Path) -> Result<Vec<HashedFile>> {
 
 /// `re4-pipe plan`.
 pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
+    if is_suite(&arguments.stage.pipeline) {
+        return suite::plan(arguments);
+    }
+    suite::refuse_selected(&arguments.selected, &arguments.stage.pipeline)?;
     let console = Console::new(&arguments.stage.common);
     let runner = arguments.rolled.runner(&arguments.stage)?;
     let shards = arguments.shards.get();
@@ -64,12 +83,7 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
         let mut tasks = writer.group(&id, count, after, writer.command(&[&id], true)?);
         let mut before = Some(id.clone());
         if let (true, Some(missing)) = (arguments.missing, &planned.missing) {
-            let indices: Vec<u32> = (0..count)
-                .filter(|index| {
-                    let own = shard(*index, count).map(|shard| shard.parts(parts));
-                    own.is_some_and(|own| missing.iter().any(|part| own.contains(part)))
-                })
-                .collect();
+            let indices = indices_of(count, parts, missing);
             if indices.is_empty() {
                 before.clone_from(&previous);
             } else {
@@ -95,37 +109,54 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
         sources: runner.hashed(),
         artifacts: address_of(&arguments.stage.common.artifacts),
         overrides: runner_overrides(arguments),
+        suite: None,
         shards,
         groups,
     };
-    console.answer(&serde_json::to_value(&plan)?)?;
-    console.say(&text(&plan)?)?;
+    print(console, &plan)
+}
+
+/// Prints a plan.
+pub(super) fn print(console: Console, plan: &Plan) -> Result<Outcome> {
+    console.answer(&serde_json::to_value(plan)?)?;
+    console.say(&text(plan)?)?;
     Ok(Outcome::Done)
 }
 
-fn shard(index: u32, count: u32) -> Option<re4_artifact::Shard> {
-    format!("{index}/{count}").parse().ok()
+/// The tasks of `count` that make one of the missing parts.
+pub(super) fn indices_of(count: u32, parts: u32, missing: &[u32]) -> Vec<u32> {
+    let makes = |index: &u32| {
+        let shard: Option<Shard> = format!("{index}/{count}").parse().ok();
+        let own = shard.map(|shard| shard.parts(parts));
+        own.is_some_and(|own| missing.iter().any(|part| own.contains(part)))
+    };
+    (0..count).filter(makes).collect()
 }
 
 /// The overrides of the command line, as values of `--set`.
 fn runner_overrides(arguments: &PlanArguments) -> Vec<String> {
-    let mut overrides = arguments.stage.set.clone();
-    if arguments.stage.no_images {
+    overrides_of(&arguments.stage, &arguments.rolled)
+}
+
+/// The same, of any command.
+pub(super) fn overrides_of(stage: &StageArguments, rolled: &RolledArguments) -> Vec<String> {
+    let mut overrides = stage.set.clone();
+    if stage.no_images {
         overrides.push("ingest.images=false".to_owned());
     }
-    overrides.extend(arguments.rolled.overrides());
+    overrides.extend(rolled.overrides());
     overrides
 }
 
 /// What the groups of a stage have in common.
-struct GroupWriter<'a> {
-    arguments: &'a PlanArguments,
-    overrides: &'a [String],
-    planned: &'a PlannedStage,
+pub(super) struct GroupWriter<'a> {
+    pub(super) arguments: &'a PlanArguments,
+    pub(super) overrides: &'a [String],
+    pub(super) planned: &'a PlannedStage,
 }
 
 impl GroupWriter<'_> {
-    fn group(&self, id: &str, count: u32, after: Vec<String>, command: Vec<String>) -> Group {
+    pub(super) fn group(&self, id: &str, count: u32, after: Vec<String>, command: Vec<String>) -> Group {
         Group {
             id: id.to_owned(),
             stage: self.planned.stage.to_string(),
@@ -141,7 +172,7 @@ impl GroupWriter<'_> {
     }
 
     /// The command that begins with these words of the command line.
-    fn command(&self, words: &[&str], sharded: bool) -> Result<Vec<String>> {
+    pub(super) fn command(&self, words: &[&str], sharded: bool) -> Result<Vec<String>> {
         let StageArguments { pipeline, common, .. } = &self.arguments.stage;
         let program = std::env::current_exe().context("cannot find the program's own file")?;
         let path = |path: &Path| -> Result<String> {
@@ -196,6 +227,9 @@ pub(crate) fn status(arguments: &StatusArguments) -> Result<Outcome> {
     let plan = Plan::read(path)?;
     std::env::set_current_dir(&plan.directory)
         .with_context(|| format!("cannot enter {}, the folder of the plan", plan.directory.display()))?;
+    if let Some(selection) = &plan.suite {
+        return suite::status(console, &arguments.common, &plan, selection);
+    }
     let runner = Runner::new(&Settings {
         pipeline: &plan.pipeline,
         overrides: plan.overrides.clone(),

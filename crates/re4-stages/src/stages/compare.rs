@@ -1,5 +1,7 @@
 //! The stage `compare`: runs the cells of a suite one after another and makes `comparison` from their `rollouts`.
 
+mod shards;
+
 use std::collections::BTreeMap;
 
 use anyhow::{Result, bail};
@@ -12,8 +14,11 @@ use serde_json::{Value, json};
 
 use crate::inputs::estimators::{CONFIDENCE, WEIGHTS};
 use crate::notes::fault_of;
-use crate::runner::{Built, Session};
+use crate::parts::Share;
+use crate::runner::{Built, Runner, Session};
 use crate::suite::{Cell, Suite};
+
+pub use shards::{PlannedCell, PlannedSuite, compare_inputs, compare_shard, merge_comparison, planned_suite};
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 1;
@@ -54,7 +59,7 @@ pub fn compare(session: &Session, suite: &Suite, cells: &[Cell]) -> Result<Compa
             number + 1,
             cells.len()
         ));
-        let result = run_cell(session, suite, cell);
+        let result = run_cell(session, suite, cell, Share::Whole);
         // An interrupt also ends the rollouts of the cell with an error.
         session.interrupt.check("the comparison")?;
         let result = result.map_err(|error| fault_of(&error).sentence());
@@ -63,19 +68,19 @@ pub fn compare(session: &Session, suite: &Suite, cells: &[Cell]) -> Result<Compa
         }
         ran.push(result);
     }
+    comparison(session, suite, cells, &ran)
+}
+
+/// Makes the `comparison` artifact from the rollouts of the cells.
+fn comparison(session: &Session, suite: &Suite, cells: &[Cell], ran: &[Result<Ran, String>]) -> Result<Compared> {
     let rows: Vec<CellRow> = cells
         .iter()
-        .zip(&ran)
+        .zip(ran)
         .flat_map(|(cell, ran)| rows_of(cell, ran))
         .collect();
-    let (differences, unpaired) = differences_of(suite, cells, &ran);
+    let (differences, unpaired) = differences_of(suite, cells, ran);
     let curves: Vec<&CurveRow> = ran.iter().flatten().flat_map(|ran| &ran.curves).collect();
-    let mut recipe = Recipe::new(Stage::Compare, CODE_VERSION).config(&config(suite, cells, &ran))?;
-    for (cell, ran) in cells.iter().zip(&ran) {
-        if let Ok(ran) = ran {
-            recipe = recipe.input(&format!("{}, {}", cell.row, cell.column), &ran.key);
-        }
-    }
+    let recipe = recipe(suite, cells, ran)?;
     let failed = ran.iter().filter(|ran| ran.is_err()).count();
     let warning = |code: &'static str| move |message: String| json!({ "code": code, "message": message });
     let protocols = suite
@@ -101,12 +106,27 @@ pub fn compare(session: &Session, suite: &Suite, cells: &[Cell]) -> Result<Compa
     })
 }
 
-fn run_cell(session: &Session, suite: &Suite, cell: &Cell) -> Result<Ran> {
-    let pipeline = match &cell.pipeline {
-        Ok(pipeline) => pipeline.clone(),
+/// The recipe of the `comparison` artifact.
+fn recipe(suite: &Suite, cells: &[Cell], ran: &[Result<Ran, String>]) -> Result<Recipe> {
+    let mut recipe = Recipe::new(Stage::Compare, CODE_VERSION).config(&config(suite, cells, ran))?;
+    for (cell, ran) in cells.iter().zip(ran) {
+        if let Ok(ran) = ran {
+            recipe = recipe.input(&format!("{}, {}", cell.row, cell.column), &ran.key);
+        }
+    }
+    Ok(recipe)
+}
+
+/// The runner of a cell.
+fn runner_of(session: &Session, cell: &Cell, share: Share) -> Result<Runner> {
+    match &cell.pipeline {
+        Ok(pipeline) => Ok(session.runner(&cell.file, pipeline.clone()).with_share(share)),
         Err(sentence) => bail!("{sentence}"),
-    };
-    let runner = session.runner(&cell.file, pipeline);
+    }
+}
+
+fn run_cell(session: &Session, suite: &Suite, cell: &Cell, share: Share) -> Result<Ran> {
+    let runner = runner_of(session, cell, share)?;
     let (built, _) = runner.roll_out()?;
     let rollouts = &built.artifact;
     Ok(Ran {

@@ -12,7 +12,9 @@ mod train;
 mod train_pose;
 mod training;
 
-pub use compare::{Compared, compare};
+pub use compare::{
+    Compared, PlannedCell, PlannedSuite, compare, compare_inputs, compare_shard, merge_comparison, planned_suite,
+};
 pub(crate) use ingest::WorkerCrashed;
 pub use ingest::{INGEST_WORKER, describe, serve_ingest};
 pub use replay::{DivergenceRow, PlanarDivergenceRow, PlanarReplay, ReplayRow, SpatialDivergence, SpatialReplay};

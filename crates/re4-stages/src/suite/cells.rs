@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use re4_compare::Measure;
 use re4_fault::{Fault, Remedy as _, fault};
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Overrides, Suite, SuiteCell, SuiteColumn, SuiteRow};
@@ -12,7 +13,7 @@ use crate::notes::fault_of;
 use crate::pipeline::{Pipeline, Seeds, read_pipeline, suggestion};
 
 /// What the command line changes in a suite: the rows and columns that run (empty lists stand for all), seeds and settings.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Selection {
     /// Names of rows.
     pub rows: Vec<String>,

@@ -60,6 +60,13 @@ pub fn read_suite(path: &Path, selection: &Selection) -> Result<(Suite, Vec<Cell
     Ok((suite, cells))
 }
 
+/// Whether a file is a suite rather than a pipeline: it has rows or columns. A file that cannot be read is none.
+pub fn is_suite(path: &Path) -> bool {
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let table: toml::Table = text.parse().unwrap_or_default();
+    ["row", "column"].iter().any(|key| table.contains_key(*key))
+}
+
 /// One fault made of all faults of a file, each with its remedy.
 fn all(path: &Path, mut faults: Vec<Fault>) -> Fault {
     let file = format!("cannot use the suite file {}", path.display());

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use crate::pipeline::Seeds;
 
 pub use cells::{Cell, Selection};
-pub use load::read_suite;
+pub use load::{is_suite, read_suite};
 
 /// Settings that override those of pipeline files. Nested tables are joined by dots: `policy.replay.horizon` is the same as
 /// `horizon` in a table `replay` in a table `policy`.

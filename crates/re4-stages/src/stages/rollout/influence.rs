@@ -1,7 +1,9 @@
 //! The stage `influence`: makes `influence`, the exact effect of leaving out each demonstration, from what rollouts are made from.
 
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::Result;
 use re4_artifact::{Artifact, ArtifactSummary, Recipe, Stage};
@@ -20,11 +22,15 @@ use serde_json::{Value, json};
 use super::{RolloutArtifacts, RolloutSetup};
 use crate::inputs::demos::{SpatialEpisodes, demo_names, is_spatial};
 use crate::inputs::episodes::read_episodes;
+use crate::parts::parts_of;
 use crate::pipeline::Policy;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
 const CODE_VERSION: u32 = 1;
+
+/// Scenes per part. Each is rolled out once, and once more for every demonstration on which its episode depends: some tens of times.
+const SCENES_IN_PART: usize = 128;
 
 /// Standard deviations of the perturbations of start states: translation in px and m, rotation in rad. They are small against the
 /// distances between demonstrations, so that a perturbed start is nearest to its own demonstration.
@@ -77,39 +83,98 @@ impl Runner {
         self.refuse_learned()?;
         let (built, _) = self.with_artifacts(&|policy, artifacts| {
             let recipe = self.judged_recipe(Stage::Influence, CODE_VERSION, policy, artifacts, &json!(judge.starts))?;
-            self.build(&recipe, |writer| {
-                self.with_episodes(policy, artifacts, judge, &|on, roll| {
-                    let all = evaluate(roll, on.scenes.len(), &Without::default())?;
-                    self.notes.note(&format!(
-                        "{:>10}  {} episodes with all demonstrations",
-                        "influence",
-                        all.episodes.len()
-                    ));
-                    let changes = leave_one_out(roll, &all)?;
-                    let (mut rows, mut episodes, mut pairs) = (Vec::new(), Vec::new(), Vec::new());
-                    for kind in [Scenes::Given, Scenes::Starts] {
-                        let (base, changes) = of_kind(kind, on.scenes, &all, &changes);
-                        if !base.episodes.is_empty() {
-                            rows.extend(influence_rows(kind, on.demos, &base, &changes));
-                            episodes.extend(episode_rows(kind, &base, &changes));
-                            pairs.extend(pair_rows(kind, on.demos, &base, &changes));
-                        }
-                    }
-                    let summary = summary(&rows, &episodes, pairs.len());
-                    writer.write_rows(rows)?;
-                    writer.write_rows(episodes)?;
-                    writer.write_rows(pairs)?;
-                    Ok(ArtifactSummary {
-                        summary,
-                        warnings: Vec::new(),
-                    })
-                })
+            if let Some(built) = self.unchanged(&recipe, Instant::now())? {
+                return Ok(built);
+            }
+            self.with_episodes(policy, artifacts, judge, &|on, roll| {
+                self.build_influence(&recipe, on, roll)
             })
         })?;
         Ok(Influenced {
             rows: built.artifact.read()?,
             built,
         })
+    }
+
+    /// Makes the artifact in parts of scenes. Episodes of different scenes do not depend on each other.
+    fn build_influence(&self, recipe: &Recipe, on: &OnScenes<'_>, roll: &mut Roll<'_, anyhow::Error>) -> Result<Built> {
+        let scenes = on.scenes.len();
+        let roll = RefCell::new(roll);
+        let judged = |first: usize| {
+            let own = &on.scenes[first..scenes.min(first + SCENES_IN_PART)];
+            let mut roll = roll.borrow_mut();
+            self.judged(own, first, on.demos, &mut **roll)
+        };
+        let parts = parts_of(scenes, SCENES_IN_PART);
+        let of_all =
+            |rows: &[InfluenceRow], (episodes, pairs): &(Vec<JudgedEpisodeRow>, Vec<PairRow>)| ArtifactSummary {
+                summary: summary(rows, episodes, pairs.len()),
+                warnings: Vec::new(),
+            };
+        if parts == 1 {
+            return self.build(recipe, |writer| {
+                let judged = judged(0)?;
+                let rows = influence_rows(on.demos, &judged.0, &judged.1);
+                let summary = of_all(&rows, &judged);
+                writer.write_rows(rows)?;
+                writer.write_rows(judged.0)?;
+                writer.write_rows(judged.1)?;
+                Ok(summary)
+            });
+        }
+        self.build_parts(
+            recipe,
+            parts,
+            |writer, part| {
+                let (episodes, pairs) = judged(part as usize * SCENES_IN_PART)?;
+                writer.write_rows(episodes)?;
+                writer.write_rows(pairs)?;
+                Ok(ArtifactSummary::default())
+            },
+            |parts, writer| {
+                let mut judged = (Vec::new(), Vec::new());
+                for part in parts {
+                    judged.0.extend(part.read::<JudgedEpisodeRow>()?);
+                    judged.1.extend(part.read::<PairRow>()?);
+                }
+                let rows = influence_rows(on.demos, &judged.0, &judged.1);
+                let summary = of_all(&rows, &judged);
+                writer.write_rows(rows)?;
+                Ok(summary)
+            },
+        )
+    }
+
+    /// The episodes of some scenes, and each again without every demonstration on which it depends. `first` is the number of the first
+    /// scene.
+    fn judged(
+        &self,
+        scenes: &[Scenes],
+        first: usize,
+        demos: &[Demo],
+        roll: &mut Roll<'_, anyhow::Error>,
+    ) -> Result<(Vec<JudgedEpisodeRow>, Vec<PairRow>)> {
+        let mut roll = |episodes: &[Episode]| {
+            let numbered = |episode: &Episode| Episode {
+                scene: first + episode.scene,
+                without: Arc::clone(&episode.without),
+            };
+            roll(&episodes.iter().map(numbered).collect::<Vec<_>>())
+        };
+        let all = evaluate(&mut roll, scenes.len(), &Without::default())?;
+        self.notes.note(&format!(
+            "{:>10}  {} episodes with all demonstrations",
+            "influence",
+            all.episodes.len()
+        ));
+        let changes = leave_one_out(&mut roll, &all)?;
+        let (mut episodes, mut pairs) = (Vec::new(), Vec::new());
+        for kind in [Scenes::Given, Scenes::Starts] {
+            let (base, changes) = of_kind(kind, scenes, &all, &changes);
+            episodes.extend(episode_rows(kind, &base, &changes));
+            pairs.extend(pair_rows(kind, demos, &base, &changes));
+        }
+        Ok((episodes, pairs))
     }
 
     /// Rolls out every scene without each of up to `count` demonstrations, evenly spaced among those on which an episode depends, and
