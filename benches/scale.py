@@ -7,7 +7,7 @@
 For each count, writes that many made-up demonstrations (many_demos.py, which describes SOURCE and --frames) and runs ingest, segment,
 audit and index of pipelines/lift-state.toml on them. Without --shards, each stage is one process with one thread. With --shards N,
 the stages run as the plan of `re4-pipe plan --shards N` says, each task as a process with one thread, --parallel of them at a time;
-the plan's merges run alone. Prints for every stage the wall time, the processor time of all processes together and per demonstration,
+the plan's merges run alone. Only plans have the stage observe, which is a part of the audit. Prints for every stage the wall time, the processor time of all processes together and per demonstration,
 the part of the merges in it, and the largest memory of one process. Without shards, the stage segment also makes the audit; with
 --again, the audit is made a second time, and the cost of that is shown apart.
 
@@ -102,7 +102,7 @@ def sharded(program, folder, artifacts, data, shards, parallel):
         file.write(answer)
     costs["plan"].wall = time.perf_counter() - begin
     for group in plan["groups"]:
-        if group["stage"] not in STAGES:
+        if group["stage"] not in [*STAGES, "observe"]:
             continue
         fill = {"{index}": None, "{count}": str(group["count"])}
         commands = []

@@ -72,6 +72,10 @@ impl Path {
         Some((sum / (2 * POINTS) as f64).sqrt())
     }
 
+    fn means(&self) -> [f64; COORDINATES] {
+        std::array::from_fn(|coordinate| self.mean(coordinate))
+    }
+
     fn mean(&self, coordinate: usize) -> f64 {
         let values = self.0.iter().skip(coordinate).step_by(COORDINATES);
         values.map(|value| f64::from(*value)).sum::<f64>() / POINTS as f64
@@ -84,7 +88,17 @@ pub struct Neighbours {
     /// Every how many-th demonstration is in the sample.
     step: usize,
     seen: usize,
-    sample: Vec<(u32, Path, f64)>,
+    sample: Vec<Sampled>,
+}
+
+/// A demonstration of the sample.
+#[derive(Debug)]
+struct Sampled {
+    episode: u32,
+    path: Path,
+    means: [f64; COORDINATES],
+    /// Distance to the nearest other one so far.
+    nearest: f64,
 }
 
 impl Neighbours {
@@ -100,26 +114,35 @@ impl Neighbours {
     /// Takes the next demonstration into the sample if it is its place in the order that says so.
     pub fn sample(&mut self, own: &Observation) {
         if self.seen.is_multiple_of(self.step) {
-            self.sample.push((own.episode, own.path.clone(), f64::INFINITY));
+            self.sample.push(Sampled {
+                episode: own.episode,
+                path: own.path.clone(),
+                means: own.path.means(),
+                nearest: f64::INFINITY,
+            });
         }
         self.seen += 1;
     }
 
     /// Compares all of the sample with a demonstration.
     pub fn compare(&mut self, other: &Observation) {
-        for (episode, path, nearest) in &mut self.sample {
-            if *episode != other.episode
-                && let Some(distance) = path.distance(&other.path, *nearest)
+        let means = other.path.means();
+        for own in self.sample.iter_mut().filter(|own| own.episode != other.episode) {
+            // The mean of squares is at least the square of the mean. The margin is for rounding.
+            let apart = own.means.iter().zip(means).map(|(a, b)| (a - b).powi(2));
+            let bound = (apart.sum::<f64>() / 2.0).sqrt() * (1.0 - 1e-6) - 1e-9;
+            if bound < own.nearest
+                && let Some(distance) = own.path.distance(&other.path, own.nearest)
                 && distance > 0.0
             {
-                *nearest = distance;
+                own.nearest = distance;
             }
         }
     }
 
     /// The distances.
     pub(crate) fn distances(self) -> Vec<f64> {
-        let distances = self.sample.into_iter().map(|(_, _, nearest)| nearest);
+        let distances = self.sample.into_iter().map(|own| own.nearest);
         distances.filter(|distance| distance.is_finite()).collect()
     }
 }

@@ -21,6 +21,7 @@ mod runner;
 mod stages;
 mod suite;
 pub mod tables;
+mod tasks;
 #[doc(hidden)]
 pub mod testing;
 
@@ -37,7 +38,7 @@ pub use pipeline::{
     RolloutSection, Seeds, SourcePaths, Task, Variant, read_pipeline, schema,
 };
 pub use plan::PlannedStage;
-pub use plan_file::{Group, Plan, memory_mb};
+pub use plan_file::{Group, Plan};
 pub use reference::{pipeline_reference, suite_reference, tables_reference};
 pub use rerender::{Rerendered, add_images};
 pub use runner::{Built, Runner, Session, Settings, leaves, warning_text};
@@ -48,3 +49,4 @@ pub use stages::{
     planned_suite, read_rollouts, serve_ingest,
 };
 pub use suite::{Cell, Selection, Suite, is_suite, read_suite, suite_schema};
+pub use tasks::Tasks;

@@ -6,6 +6,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result};
 use re4_artifact::Stage;
 use re4_task::Domain;
+use serde_json::{Value, json};
 
 use crate::parts::{Partly, Share};
 use crate::pipeline::PoseSource;
@@ -24,6 +25,25 @@ pub struct PlannedStage {
     pub missing: Option<Vec<u32>>,
     /// Whether the artifact is complete.
     pub done: bool,
+}
+
+impl PlannedStage {
+    /// What `re4-pipe status` prints with `--json`.
+    pub fn to_json(&self) -> Value {
+        let state = match (&self.missing, self.done) {
+            (_, true) => "done".to_owned(),
+            (None, _) => "waiting for earlier stages".to_owned(),
+            (Some(missing), _) if missing.is_empty() => "all parts made, not merged".to_owned(),
+            (Some(missing), _) => format!("{} parts missing", missing.len()),
+        };
+        json!({
+            "stage": self.stage.as_str(),
+            "artifact": self.artifact,
+            "parts": self.parts,
+            "missing": self.missing,
+            "state": state,
+        })
+    }
 }
 
 /// Folder of an artifact that is not complete, the number of its parts, and the missing ones.

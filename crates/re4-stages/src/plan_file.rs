@@ -59,6 +59,29 @@ impl Plan {
     }
 }
 
+impl Plan {
+    /// The plan as text for a person.
+    pub fn text(&self) -> String {
+        let mut text = "  group              tasks  after              memory".to_owned();
+        for group in &self.groups {
+            let tasks = match &group.indices {
+                Some(indices) => format!("{} of {}", indices.len(), group.count),
+                None => group.count.to_string(),
+            };
+            let after = group.after.join(", ");
+            text += &format!(
+                "\n  {:<17} {tasks:>6}  {after:<17} {:>4} MiB",
+                group.id, group.memory_mb
+            );
+        }
+        if self.groups.is_empty() {
+            return "nothing is missing".to_owned();
+        }
+        text += "\nadd --json to get the commands; scripts/engines has programs that run them";
+        text
+    }
+}
+
 /// Tasks that run the same command with another index.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Group {
@@ -86,7 +109,7 @@ pub struct Group {
 }
 
 /// Memory of a task, in MiB. Measured, with room for larger demonstrations; see docs/scale.md.
-pub fn memory_mb(stage: Stage) -> u32 {
+pub(crate) fn memory_mb(stage: Stage) -> u32 {
     match stage {
         Stage::TrainPose | Stage::Train => 6144,
         Stage::Rollout => 2048,

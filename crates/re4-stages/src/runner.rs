@@ -201,7 +201,7 @@ impl Runner {
         runner
     }
 
-    /// The same runner, which makes only a share of the artifacts.
+    /// The same runner, which makes only some parts of the artifacts.
     pub(crate) fn with_share(mut self, share: Share) -> Self {
         self.session.share = share;
         self

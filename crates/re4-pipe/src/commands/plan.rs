@@ -4,11 +4,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::{Shard, Stage};
-use re4_fault::{OrFault as _, ensure, fault};
-use re4_stages::{
-    Group, HashedFile, Judge, Notes, Plan, PlannedStage, Runner, Settings, Share, address_of, is_suite, memory_mb,
-};
+use re4_artifact::Stage;
+use re4_fault::ensure;
+use re4_stages::{HashedFile, Judge, Notes, Plan, PlannedStage, Runner, Settings, Share, Tasks, address_of, is_suite};
 use serde_json::json;
 
 use super::audit::LEAVE_OUT;
@@ -59,58 +57,17 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
     suite::refuse_selected(&arguments.selected, &arguments.stage.pipeline)?;
     let console = Console::new(&arguments.stage.common);
     let runner = arguments.rolled.runner(&arguments.stage)?;
-    let shards = arguments.shards.get();
-    let mut groups: Vec<Group> = Vec::new();
-    let mut previous: Option<String> = None;
-    for planned in runner.planned()? {
-        let writer = GroupWriter {
-            arguments,
-            overrides: &runner_overrides(arguments),
-            planned: &planned,
-        };
-        if arguments.missing && planned.done {
-            continue;
-        }
-        let parts = planned.parts.unwrap_or(1);
-        let count = parts.min(shards);
-        let id = planned.stage.to_string();
-        let after: Vec<String> = previous.iter().cloned().collect();
-        if parts == 1 {
-            groups.push(writer.group(&id, 1, after, writer.command(&[&id], false)?));
-            previous = Some(id);
-            continue;
-        }
-        let mut tasks = writer.group(&id, count, after, writer.command(&[&id], true)?);
-        let mut before = Some(id.clone());
-        if let (true, Some(missing)) = (arguments.missing, &planned.missing) {
-            let indices = indices_of(count, parts, missing);
-            if indices.is_empty() {
-                before.clone_from(&previous);
-            } else {
-                tasks.indices = (indices.len() < count as usize).then_some(indices);
-                groups.push(tasks);
-            }
-        } else {
-            groups.push(tasks);
-        }
-        let merge = format!("{id}.merge");
-        groups.push(writer.group(
-            &merge,
-            1,
-            before.into_iter().collect(),
-            writer.command(&["merge", &id], false)?,
-        ));
-        previous = Some(merge);
-    }
+    let overrides = overrides_of(&arguments.stage, &arguments.rolled);
+    let groups = tasks(arguments, &overrides).of_stages(&runner.planned()?)?;
     let plan = Plan {
         format: Plan::FORMAT,
         directory: std::env::current_dir().context("cannot find the current folder")?,
         pipeline: arguments.stage.pipeline.clone(),
         sources: runner.hashed(),
         artifacts: address_of(&arguments.stage.common.artifacts),
-        overrides: runner_overrides(arguments),
+        overrides,
         suite: None,
-        shards,
+        shards: arguments.shards.get(),
         groups,
     };
     print(console, &plan)
@@ -119,26 +76,23 @@ pub(crate) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
 /// Prints a plan.
 pub(super) fn print(console: Console, plan: &Plan) -> Result<Outcome> {
     console.answer(&serde_json::to_value(plan)?)?;
-    console.say(&text(plan)?)?;
+    console.say(&plan.text())?;
     Ok(Outcome::Done)
 }
 
-/// The tasks of `count` that make one of the missing parts.
-pub(super) fn indices_of(count: u32, parts: u32, missing: &[u32]) -> Vec<u32> {
-    let makes = |index: &u32| {
-        let shard: Option<Shard> = format!("{index}/{count}").parse().ok();
-        let own = shard.map(|shard| shard.parts(parts));
-        own.is_some_and(|own| missing.iter().any(|part| own.contains(part)))
-    };
-    (0..count).filter(makes).collect()
+/// What all tasks have in common.
+pub(super) fn tasks<'a>(arguments: &'a PlanArguments, overrides: &'a [String]) -> Tasks<'a> {
+    Tasks {
+        pipeline: &arguments.stage.pipeline,
+        artifacts: &arguments.stage.common.artifacts,
+        cpus: arguments.cpus.get(),
+        shards: arguments.shards.get(),
+        missing: arguments.missing,
+        overrides,
+    }
 }
 
 /// The overrides of the command line, as values of `--set`.
-fn runner_overrides(arguments: &PlanArguments) -> Vec<String> {
-    overrides_of(&arguments.stage, &arguments.rolled)
-}
-
-/// The same, of any command.
 pub(super) fn overrides_of(stage: &StageArguments, rolled: &RolledArguments) -> Vec<String> {
     let mut overrides = stage.set.clone();
     if stage.no_images {
@@ -146,78 +100,6 @@ pub(super) fn overrides_of(stage: &StageArguments, rolled: &RolledArguments) -> 
     }
     overrides.extend(rolled.overrides());
     overrides
-}
-
-/// What the groups of a stage have in common.
-pub(super) struct GroupWriter<'a> {
-    pub(super) arguments: &'a PlanArguments,
-    pub(super) overrides: &'a [String],
-    pub(super) planned: &'a PlannedStage,
-}
-
-impl GroupWriter<'_> {
-    pub(super) fn group(&self, id: &str, count: u32, after: Vec<String>, command: Vec<String>) -> Group {
-        Group {
-            id: id.to_owned(),
-            stage: self.planned.stage.to_string(),
-            count,
-            indices: None,
-            after,
-            cpus: self.arguments.cpus.get(),
-            memory_mb: memory_mb(self.planned.stage),
-            gpus: 0,
-            outputs: self.planned.artifact.iter().map(|path| address_of(path)).collect(),
-            command,
-        }
-    }
-
-    /// The command that begins with these words of the command line.
-    pub(super) fn command(&self, words: &[&str], sharded: bool) -> Result<Vec<String>> {
-        let StageArguments { pipeline, common, .. } = &self.arguments.stage;
-        let program = std::env::current_exe().context("cannot find the program's own file")?;
-        let path = |path: &Path| -> Result<String> {
-            let text = path.to_str().map(str::to_owned);
-            text.or_fault(|| fault!("cannot plan with {}: its name is not UTF-8", path.display(); "rename it"))
-        };
-        let mut command = vec![path(&program)?];
-        command.extend(words.iter().map(|&word| word.to_owned()));
-        command.push(path(pipeline)?);
-        command.extend(["--artifacts".to_owned(), path(&address_of(&common.artifacts))?]);
-        command.extend([
-            "--jobs".to_owned(),
-            self.arguments.cpus.to_string(),
-            "--quiet".to_owned(),
-        ]);
-        for set in self.overrides {
-            command.extend(["--set".to_owned(), set.clone()]);
-        }
-        if sharded {
-            command.extend(["--shard".to_owned(), "{index}/{count}".to_owned()]);
-        }
-        Ok(command)
-    }
-}
-
-/// The plan as text for a person.
-fn text(plan: &Plan) -> Result<String> {
-    let mut text = "  group              tasks  after              memory".to_owned();
-    for group in &plan.groups {
-        let tasks = match &group.indices {
-            Some(indices) => format!("{} of {}", indices.len(), group.count),
-            None => group.count.to_string(),
-        };
-        let after = group.after.join(", ");
-        write!(
-            text,
-            "\n  {:<17} {tasks:>6}  {after:<17} {:>4} MiB",
-            group.id, group.memory_mb
-        )?;
-    }
-    if plan.groups.is_empty() {
-        return Ok("nothing is missing".to_owned());
-    }
-    text += "\nadd --json to get the commands; scripts/engines has programs that run them";
-    Ok(text)
 }
 
 /// `re4-pipe status`.
@@ -240,7 +122,7 @@ pub(crate) fn status(arguments: &StatusArguments) -> Result<Outcome> {
         hashes: &plan.sources,
     })?;
     let planned = runner.planned()?;
-    let rows: Vec<_> = planned.iter().map(row).collect();
+    let rows: Vec<_> = planned.iter().map(PlannedStage::to_json).collect();
     let done = planned.iter().all(|stage| stage.done);
     console.answer(&json!({ "done": done, "stages": rows }))?;
     let mut text = "  stage         parts    state".to_owned();
@@ -259,21 +141,4 @@ pub(crate) fn status(arguments: &StatusArguments) -> Result<Outcome> {
     }
     console.say(&text)?;
     Ok(Outcome::Done)
-}
-
-/// What is known of a stage.
-fn row(stage: &PlannedStage) -> serde_json::Value {
-    let state = match (&stage.missing, stage.done) {
-        (_, true) => "done".to_owned(),
-        (None, _) => "waiting for earlier stages".to_owned(),
-        (Some(missing), _) if missing.is_empty() => "all parts made, not merged".to_owned(),
-        (Some(missing), _) => format!("{} parts missing", missing.len()),
-    };
-    json!({
-        "stage": stage.stage.as_str(),
-        "artifact": stage.artifact,
-        "parts": stage.parts,
-        "missing": stage.missing,
-        "state": state,
-    })
 }

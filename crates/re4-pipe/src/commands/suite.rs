@@ -8,18 +8,14 @@ use anyhow::{Context as _, Result};
 use re4_artifact::Stage;
 use re4_fault::ensure;
 use re4_stages::{
-    Group, HashedFile, Notes, Plan, PlannedStage, PlannedSuite, Selection, Session, address_of, memory_mb,
-    merge_comparison, planned_suite, read_suite,
+    HashedFile, Notes, Plan, Selection, Session, address_of, merge_comparison, planned_suite, read_suite,
 };
 use serde_json::json;
 
-use super::plan::{GroupWriter, indices_of, overrides_of, print, sources_of};
+use super::plan::{overrides_of, print, sources_of, tasks};
 use super::{Outcome, compare};
 use crate::arguments::{Common, MergeArguments, PlanArguments, RolledArguments, SelectedArguments, StageArguments};
 use crate::console::Console;
-
-/// Id of the group that makes what several parts read.
-const INPUTS: &str = "compare.inputs";
 
 /// The session of a command about a suite.
 pub(super) fn session(common: &Common, hashes: &[HashedFile]) -> Result<Session> {
@@ -68,7 +64,7 @@ pub(super) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
     let hashes = stage.plan.as_deref().map(sources_of).transpose()?.unwrap_or_default();
     let session = session(&stage.common, &hashes)?;
     let planned = planned_suite(&session, &suite, &cells)?;
-    let groups = groups(arguments, &selection, &planned)?;
+    let groups = tasks(arguments, &selection.set).of_suite(&selection, &planned)?;
     let plan = Plan {
         format: Plan::FORMAT,
         directory: std::env::current_dir().context("cannot find the current folder")?,
@@ -81,93 +77,6 @@ pub(super) fn plan(arguments: &PlanArguments) -> Result<Outcome> {
         groups,
     };
     print(Console::new(&stage.common), &plan)
-}
-
-/// The groups of a suite: what several parts read, the rollouts, and the comparison.
-fn groups(arguments: &PlanArguments, selection: &Selection, planned: &PlannedSuite) -> Result<Vec<Group>> {
-    let mut groups: Vec<Group> = Vec::new();
-    if arguments.missing && planned.done {
-        return Ok(groups);
-    }
-    let parts = planned.parts();
-    let count = parts.min(arguments.shards.get());
-    let of_stage = PlannedStage {
-        stage: Stage::Compare,
-        parts: Some(parts),
-        artifact: planned.artifact.clone(),
-        missing: None,
-        done: planned.done,
-    };
-    let writer = GroupWriter {
-        arguments,
-        overrides: &selection.set,
-        planned: &of_stage,
-    };
-    let command = |words: &[&str], more: &[&str]| -> Result<Vec<String>> {
-        let mut command = writer.command(words, more.contains(&"--shard"))?;
-        for (option, names) in [("--rows", &selection.rows), ("--columns", &selection.columns)] {
-            if !names.is_empty() {
-                command.extend([option.to_owned(), names.join(",")]);
-            }
-        }
-        if let Some(seeds) = &selection.seeds {
-            command.extend(["--seeds".to_owned(), seeds.text().to_owned()]);
-        }
-        command.extend(
-            more.iter()
-                .filter(|word| **word != "--shard")
-                .map(|&word| word.to_owned()),
-        );
-        Ok(command)
-    };
-    // Trainings take place where inputs are made, and in the tasks of cells whose dataset no other part reads.
-    let mut push = |id: &str, count: u32, missing: Option<&[bool]>, memory: Stage, command: Vec<String>| {
-        let after = groups.last().map(|group| group.id.clone()).into_iter().collect();
-        let mut group = writer.group(id, count, after, command);
-        group.memory_mb = memory_mb(memory);
-        if let Some(missing) = missing.filter(|_| arguments.missing) {
-            let numbers: Vec<u32> = (0..)
-                .zip(missing)
-                .filter(|(_, missing)| **missing)
-                .map(|(n, _)| n)
-                .collect();
-            let indices = indices_of(count, missing.len() as u32, &numbers);
-            if indices.is_empty() {
-                return;
-            }
-            group.indices = (indices.len() < count as usize).then_some(indices);
-        }
-        groups.push(group);
-    };
-    if parts <= 1 {
-        push("compare", 1, None, Stage::Train, command(&["compare"], &[])?);
-        return Ok(groups);
-    }
-    let inputs: Vec<bool> = planned.inputs.iter().map(|complete| !complete).collect();
-    if !inputs.is_empty() {
-        let count = (inputs.len() as u32).min(arguments.shards.get());
-        let command = command(&["compare"], &["--shard", "--inputs"])?;
-        push(INPUTS, count, Some(&inputs), Stage::Train, command);
-    }
-    let mut missing = vec![false; parts as usize];
-    for part in planned.missing() {
-        missing[part as usize] = true;
-    }
-    push(
-        "compare",
-        count,
-        Some(&missing),
-        Stage::Train,
-        command(&["compare"], &["--shard"])?,
-    );
-    push(
-        "compare.merge",
-        1,
-        None,
-        Stage::Compare,
-        command(&["merge", "compare"], &[])?,
-    );
-    Ok(groups)
 }
 
 /// `re4-pipe status` of the plan of a suite.
