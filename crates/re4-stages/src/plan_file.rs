@@ -1,5 +1,6 @@
 //! The file that `re4-pipe plan` writes: the commands that run a pipeline in parts.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
@@ -69,10 +70,9 @@ impl Plan {
                 None => group.count.to_string(),
             };
             let after = group.after.join(", ");
-            text += &format!(
-                "\n  {:<17} {tasks:>6}  {after:<17} {:>4} MiB",
-                group.id, group.memory_mb
-            );
+            let (id, memory) = (&group.id, group.memory_mb);
+            // Writing to a string cannot fail.
+            let _ = write!(text, "\n  {id:<17} {tasks:>6}  {after:<17} {memory:>4} MiB");
         }
         if self.groups.is_empty() {
             return "nothing is missing".to_owned();

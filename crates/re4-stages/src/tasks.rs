@@ -46,7 +46,7 @@ impl Tasks<'_> {
             let id = planned.stage.to_string();
             let (stage, artifact) = (planned.stage, planned.artifact.as_ref());
             let group = |id: &str, count, after: &Option<String>, command| {
-                self.group(stage, artifact, id, count, after, command)
+                self.group(stage, artifact, id, count, after.as_deref(), command)
             };
             if parts == 1 {
                 groups.push(group(&id, 1, &previous, self.command(&[&id], false)?));
@@ -96,7 +96,14 @@ impl Tasks<'_> {
         // Trainings take place where inputs are made, and in the tasks of cells whose dataset no other part reads.
         let mut push = |id: &str, count: u32, missing: Option<&[bool]>, memory: Stage, command: Vec<String>| {
             let after = groups.last().map(|group| group.id.clone());
-            let mut group = self.group(Stage::Compare, planned.artifact.as_ref(), id, count, &after, command);
+            let mut group = self.group(
+                Stage::Compare,
+                planned.artifact.as_ref(),
+                id,
+                count,
+                after.as_deref(),
+                command,
+            );
             group.memory_mb = memory_mb(memory);
             if let Some(missing) = missing.filter(|_| self.missing) {
                 let numbers = (0..).zip(missing).filter(|(_, missing)| **missing);
@@ -137,7 +144,7 @@ impl Tasks<'_> {
         artifact: Option<&PathBuf>,
         id: &str,
         count: u32,
-        after: &Option<String>,
+        after: Option<&str>,
         command: Vec<String>,
     ) -> Group {
         Group {
@@ -145,7 +152,7 @@ impl Tasks<'_> {
             stage: stage.to_string(),
             count,
             indices: None,
-            after: after.iter().cloned().collect(),
+            after: after.into_iter().map(str::to_owned).collect(),
             cpus: self.cpus,
             memory_mb: memory_mb(stage),
             gpus: 0,

@@ -90,7 +90,7 @@ impl Used {
         [self.file.prefix.as_str(), name].concat()
     }
 
-    fn left_out(&self, left: LeftOut) -> LeftOut {
+    fn left_out(&self, left: &LeftOut) -> LeftOut {
         LeftOut {
             demo: self.name(&left.demo),
             why: format!("in {}, {}", self.file.path.display(), left.why),
@@ -98,7 +98,7 @@ impl Used {
     }
 
     fn episode(&self, episode: Result<Episode, LeftOut>) -> Result<Episode, LeftOut> {
-        let mut episode = episode.map_err(|left| self.left_out(left))?;
+        let mut episode = episode.map_err(|left| self.left_out(&left))?;
         episode.name.name = self.name(&episode.name.name);
         // Other files have demonstrations of the same number.
         episode.name.number = None;
@@ -534,7 +534,7 @@ impl<S: FileSource> DemoSource for Several<S> {
                         block.places.iter_mut().for_each(|place| place.0 += first);
                         Ok(block)
                     }
-                    Err(left) => Err(used.left_out(left)),
+                    Err(left) => Err(used.left_out(&left)),
                 })
             })?;
         }
@@ -546,12 +546,11 @@ impl<S: FileSource> DemoSource for Several<S> {
         let mut warnings: Vec<Warning> = Vec::new();
         for (place, used) in self.files.used.iter().enumerate() {
             for mut own in self.at(place)?.own_warnings() {
-                match warnings.iter_mut().find(|known| known.code == own.code) {
-                    Some(known) => known.count += own.count,
-                    None => {
-                        own.message = format!("in {}, {}", used.file.prefix.trim_end_matches('/'), own.message);
-                        warnings.push(own);
-                    }
+                if let Some(known) = warnings.iter_mut().find(|known| known.code == own.code) {
+                    known.count += own.count;
+                } else {
+                    own.message = format!("in {}, {}", used.file.prefix.trim_end_matches('/'), own.message);
+                    warnings.push(own);
                 }
             }
         }
