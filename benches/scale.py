@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Measures what every stage costs per demonstration as their number grows, and what cutting the work into shards adds.
 
-    benches/scale.py PROGRAM SOURCE.hdf5 FOLDER --counts 10000 100000 [--frames N] [--shards N] [--parallel N] [--again] [--keep]
+    benches/scale.py PROGRAM SOURCE.hdf5 FOLDER --counts 10000 100000 [--frames N] [--files N] [--shards N] [--parallel N] [--again] [--keep]
     benches/scale.py PROGRAM SOURCE.hdf5 FOLDER --counts 100000 --compare 8
 
-For each count, writes that many made-up demonstrations (many_demos.py, which describes SOURCE and --frames) and runs ingest, segment,
+For each count, writes that many made-up demonstrations (many_demos.py, which describes SOURCE, --frames and --files) and runs ingest, segment,
 audit and index of pipelines/lift-state.toml on them. Without --shards, each stage is one process with one thread. With --shards N,
 the stages run as the plan of `re4-pipe plan --shards N` says, each task as a process with one thread, --parallel of them at a time;
 the plan's merges run alone. Only plans have the stage observe, which is a part of the audit. Prints for every stage the wall time, the processor time of all processes together and per demonstration,
@@ -143,6 +143,7 @@ def main():
     parser.add_argument("folder", type=os.path.abspath)
     parser.add_argument("--counts", type=int, nargs="+", required=True)
     parser.add_argument("--frames", type=int, default=0)
+    parser.add_argument("--files", type=int)
     parser.add_argument("--shards", type=int)
     parser.add_argument("--compare", type=int)
     parser.add_argument("--parallel", type=int, default=2)
@@ -152,9 +153,11 @@ def main():
     per_episode = {}
     os.makedirs(arguments.folder, exist_ok=True)
     for count in arguments.counts:
-        data = os.path.join(arguments.folder, f"{count}.hdf5")
+        data = os.path.join(arguments.folder, f"{count}-{arguments.files}" if arguments.files else f"{count}.hdf5")
         if not os.path.exists(data):
             words = [arguments.source, str(count), data, "--frames", str(arguments.frames)]
+            if arguments.files:
+                words += ["--files", str(arguments.files), "--jobs", str(arguments.parallel)]
             subprocess.run([sys.executable, os.path.join(HERE, "many_demos.py"), *words], check=True)
         header()
         folder, parallel = arguments.folder, arguments.parallel
@@ -170,7 +173,10 @@ def main():
         if not arguments.keep:
             for name in ("whole", "sharded"):
                 shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
-            os.remove(data)
+            if arguments.files:
+                shutil.rmtree(data)
+            else:
+                os.remove(data)
     if len(per_episode) > 1:
         least, most = min(per_episode.values()), max(per_episode.values())
         print(f"cost per demonstration differs by {100 * (most / least - 1):.1f} % over the counts")

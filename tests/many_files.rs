@@ -202,13 +202,20 @@ fn shares_of_several_files_have_the_bytes_of_one_process() {
     let plan = succeeds(&place, "planned", &["plan", "split.toml", "--shards", "3", "--json"]);
     place.write("plan.json", plan.clone());
     let plan: Value = serde_json::from_str(&plan).unwrap();
-    let counts: Vec<&Value> = plan["sources"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|file| &file["demonstrations"])
-        .collect();
-    assert_eq!(counts, [7, 294, 299]);
+    let counts = |plan: &Value| -> Vec<Value> {
+        let files = plan["sources"].as_array().unwrap().iter();
+        files.map(|file| file["surveyed"]["demonstrations"].clone()).collect()
+    };
+    assert_eq!(counts(&plan), [7, 294, 299]);
+    let (code, text) = run(
+        &place,
+        "planned-library",
+        true,
+        &["plan", "split.toml", "--shards", "3", "--json"],
+    );
+    assert_eq!(code, 0, "{text}");
+    let with_library: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(with_library["sources"], plan["sources"]);
     let path = place.path().join("data/split/c.hdf5");
     let bytes = fs::read(&path).unwrap();
     let time = fs::metadata(&path).unwrap().modified().unwrap();

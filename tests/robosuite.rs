@@ -34,7 +34,7 @@ fn folder(variable: &str, otherwise: &str, below: &str, how: &str) -> Option<Pat
 /// Demonstrations by number.
 fn demonstrations(path: &Path) -> BTreeMap<u32, Demo> {
     let sources = Sources::open(path).unwrap();
-    let reader = RobomimicReader::open(&sources, &DemoChoice::default(), Access::Library).unwrap();
+    let reader = RobomimicReader::open(&sources, &DemoChoice::default(), Access::Library, None).unwrap();
     let mut demos = BTreeMap::new();
     reader
         .for_each::<Demo, IngestError>(

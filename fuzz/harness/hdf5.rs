@@ -61,7 +61,7 @@ fn read(path: &Path, choice: u8) -> Result<(), IngestError> {
         select: selection(choice & 0x7f),
         cautious: false,
     };
-    let reader = RobomimicReader::open(&Sources::open(path)?, &choice, Access::Direct)?;
+    let reader = RobomimicReader::open(&Sources::open(path)?, &choice, Access::Direct, None)?;
     reader.sources().hash(&|| false)?;
     let reading = Reading {
         task: RobosuiteTask::named("can"),

@@ -36,7 +36,7 @@ fn reading(task: &str, conventions: Settings) -> Reading {
 }
 
 fn open(path: &Path) -> Result<RobomimicReader, IngestError> {
-    RobomimicReader::open(&Sources::open(path)?, &DemoChoice::default(), Access::Library)
+    RobomimicReader::open(&Sources::open(path)?, &DemoChoice::default(), Access::Library, None)
 }
 
 type Columns = Vec<(String, Vec<SpatialColumns>)>;

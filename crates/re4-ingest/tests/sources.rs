@@ -8,7 +8,9 @@ use std::path::{Path, PathBuf};
 
 use common::{FRAMES, SIDE, fixture, image};
 use re4_ingest::pusht::{PushtOptions, PushtReader, PushtSource};
-use re4_ingest::robomimic::{Access, DemoChoice, Interpreter, Reading, RobomimicReader, RobomimicSource, Sources};
+use re4_ingest::robomimic::{
+    Access, DemoChoice, Interpreter, Layout, Reading, RobomimicReader, RobomimicSource, Sources, Surveyed,
+};
 use re4_ingest::{DemoSource, Episode, Frames, IngestError, LeftOut, Selection, Tally};
 use re4_robosuite::conventions::{RobosuiteTask, Settings};
 use re4_robosuite::hand_from_site;
@@ -44,7 +46,7 @@ fn can(select: Selection) -> RobomimicSource {
         select,
         ..DemoChoice::default()
     };
-    let reader = RobomimicReader::open(&Sources::open(&sample()).unwrap(), &choice, Access::Direct).unwrap();
+    let reader = RobomimicReader::open(&Sources::open(&sample()).unwrap(), &choice, Access::Direct, None).unwrap();
     let reading = Reading {
         task: RobosuiteTask::named("can"),
         object: None,
@@ -160,4 +162,67 @@ fn errors_of_the_closure_are_returned() {
         if taken == 2 { Err(Enough) } else { Ok(()) }
     });
     assert!(ended.is_err() && taken == 2);
+}
+
+fn reader(path: &Path, choice: &DemoChoice, known: Option<&Surveyed>) -> Result<RobomimicReader, String> {
+    let sources = Sources::open(path).map_err(|error| error.to_string())?;
+    RobomimicReader::open(&sources, choice, Access::Library, known).map_err(|error| error.to_string())
+}
+
+/// What a reader says of the file as a whole.
+fn whole(reader: &RobomimicReader) -> impl PartialEq + std::fmt::Debug {
+    (
+        (reader.demos().to_vec(), reader.layout(), reader.warnings().to_vec()),
+        (reader.cameras(None).unwrap(), reader.surveyed().clone()),
+    )
+}
+
+#[test]
+fn a_file_that_was_surveyed_opens_equally() {
+    let mut paths = vec![sample()];
+    for folder in ["foreign", "malformed"]
+        .iter()
+        .filter_map(|name| common::available(name))
+    {
+        paths.extend(common::files_below(&folder, "hdf5"));
+    }
+    let files = paths.len();
+    let mut opened = 0;
+    for path in paths {
+        let choice = DemoChoice::default();
+        let Ok(first) = reader(&path, &choice, None) else {
+            continue;
+        };
+        opened += 1;
+        // As another process receives it.
+        let text = serde_json::to_string(first.surveyed()).unwrap();
+        let known: Surveyed = serde_json::from_str(&text).unwrap();
+        let again = reader(&path, &choice, Some(&known)).unwrap();
+        assert_eq!(whole(&first), whole(&again), "{}", path.display());
+    }
+    // Some of the malformed files cannot be opened.
+    assert!(opened > files / 2, "{opened} of {files}");
+}
+
+#[test]
+fn a_survey_holds_for_its_choice_only() {
+    let choice = DemoChoice::default();
+    let first = reader(&sample(), &choice, None).unwrap();
+    let mut other = serde_json::to_value(first.surveyed()).unwrap();
+    assert_eq!(other["layout"], "observed");
+    other["layout"] = "raw".into();
+    let other: Surveyed = serde_json::from_value(other).unwrap();
+    let layout = |choice: &DemoChoice| reader(&sample(), choice, Some(&other)).unwrap().layout();
+    // The demonstrations are not looked at again.
+    assert_eq!(layout(&choice), Layout::Raw);
+    let fewer = DemoChoice {
+        select: Selection::First(3),
+        ..choice.clone()
+    };
+    assert_eq!(layout(&fewer), Layout::Observed);
+    let cautious = DemoChoice {
+        cautious: true,
+        ..choice
+    };
+    assert_eq!(layout(&cautious), Layout::Observed);
 }

@@ -1,4 +1,4 @@
-//! Hashes of files that this process, or the one that wrote its plan, has computed.
+//! Hashes of files that this process, or the one that wrote its plan, has computed, and what is known of their demonstrations.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,6 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::Result;
 use re4_artifact::Key;
+use re4_ingest::robomimic::Surveyed;
 use serde::{Deserialize, Serialize};
 
 /// The hash of a file, and what the file system says of the file that was hashed.
@@ -21,9 +22,9 @@ pub struct HashedFile {
     pub modified_ns: i64,
     /// BLAKE3 hash of its content.
     pub blake3: Key,
-    /// Number of its demonstrations, if it is one of several files of a dataset.
+    /// What is known of its demonstrations, if it is an HDF5 file that was opened.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub demonstrations: Option<usize>,
+    pub surveyed: Option<Surveyed>,
 }
 
 /// Files that need not be hashed again unless their length or time has changed.
@@ -50,15 +51,15 @@ impl Hashes {
         found.filter(|file| Some((file.bytes, file.modified_ns)) == state(&path))
     }
 
-    /// The known number of demonstrations in a file that has not changed.
-    pub(crate) fn count(&self, path: &Path) -> Option<usize> {
-        self.unchanged(path)?.demonstrations
+    /// What is known of the demonstrations in a file that has not changed.
+    pub(crate) fn surveyed(&self, path: &Path) -> Option<Surveyed> {
+        self.unchanged(path)?.surveyed
     }
 
-    /// Remembers the number of demonstrations in a file whose hash is known.
-    pub(crate) fn set_count(&self, path: &Path, count: usize) {
+    /// Remembers what is known of the demonstrations in a file whose hash is known.
+    pub(crate) fn set_surveyed(&self, path: &Path, surveyed: &Surveyed) {
         if let Some(file) = self.files().get_mut(&absolute(path)) {
-            file.demonstrations = Some(count);
+            file.surveyed = Some(surveyed.clone());
         }
     }
 
@@ -83,7 +84,7 @@ impl Hashes {
                 bytes,
                 modified_ns,
                 blake3,
-                demonstrations: None,
+                surveyed: None,
             };
             self.files().insert(path, file);
         }

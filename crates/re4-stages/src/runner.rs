@@ -10,6 +10,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::Result;
 use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Stage, Store, Writer};
 use re4_fault::{OrFault as _, bail, fault};
+use re4_ingest::robomimic::Surveyed;
 use re4_ingest::{IngestError, Stop};
 use serde_json::{Map, Value, json};
 use tracing::{debug, info, info_span};
@@ -249,14 +250,14 @@ impl Session {
         self.hashes.known(path)
     }
 
-    /// The number of demonstrations in a file, if it is known and the file has not changed.
-    pub(crate) fn known_count(&self, path: &Path) -> Option<usize> {
-        self.hashes.count(path)
+    /// What is known of the demonstrations in a file, if the file has not changed.
+    pub(crate) fn surveyed(&self, path: &Path) -> Option<Surveyed> {
+        self.hashes.surveyed(path)
     }
 
-    /// Remembers the number of demonstrations in a file that was hashed.
-    pub(crate) fn set_count(&self, path: &Path, count: usize) {
-        self.hashes.set_count(path, count);
+    /// Remembers what is known of the demonstrations in a file that was hashed.
+    pub(crate) fn set_surveyed(&self, path: &Path, surveyed: &Surveyed) {
+        self.hashes.set_surveyed(path, surveyed);
     }
 
     /// The files that were hashed so far, and those whose hashes were given.

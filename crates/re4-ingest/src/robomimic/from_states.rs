@@ -47,10 +47,10 @@ impl FromStates {
     ) -> Result<Self, Hdf5Fault> {
         let layout = reader.layout();
         if layout == Layout::Observed {
-            let observed = reading.task.is_some() && !reader.object_from_states;
+            let observed = reading.task.is_some() && !reader.surveyed.object_from_states;
             let stateless = model.is_none() || demos.iter().flatten().all(|demo| demo.states.is_none());
             if stateless
-                && (reader.lacks_objects || reading.task.is_none())
+                && (reader.surveyed.lacks_objects || reading.task.is_none())
                 && let Some(name) = relative.recorded_object(reading.object.as_deref())
             {
                 return Ok(Self::Datagen(name));

@@ -42,18 +42,21 @@ impl RobomimicReader {
     }
 
     fn cameras_of_all(&self) -> Result<Vec<String>, Hdf5Fault> {
-        let mut cameras = BTreeSet::new();
-        for demo in self.demos() {
-            let observations = match self.file.members_or_none(&format!("data/{}/obs", demo.name)) {
+        let mut observations = self.surveyed.observations.clone();
+        // In cautious mode, only the first demonstration was surveyed.
+        for demo in self.demos().iter().filter(|_| self.file.is_cautious()) {
+            match self.file.members_or_none(&format!("data/{}/obs", demo.name)) {
                 Err(fault @ Hdf5Fault::NeedsLibrary) => return Err(fault),
                 // The fault is reported when the demonstration is read.
-                Err(_) => continue,
-                Ok(observations) => observations,
-            };
-            let names = observations.iter().filter_map(|name| self.image_names.camera(name));
-            cameras.extend(names.map(str::to_owned));
+                Err(_) => {}
+                Ok(more) => observations.extend(more),
+            }
         }
-        Ok(cameras.into_iter().collect())
+        let cameras: BTreeSet<&str> = observations
+            .iter()
+            .filter_map(|name| self.image_names.camera(name))
+            .collect();
+        Ok(cameras.into_iter().map(str::to_owned).collect())
     }
 
     /// Checks, without reading them, that a demonstration has valid images of these cameras for all its frames.

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::fault::Hdf5Fault;
 use super::source::RobomimicSource;
 use super::sources::{Sources, SourcesIdentity};
+use super::survey::Surveyed;
 use crate::demos::DemoSource as _;
 use crate::error::{Fault, IngestError};
 use crate::left_out::parts;
@@ -24,8 +25,8 @@ pub struct Member {
     /// What precedes the names of its demonstrations: `NAME/`.
     pub(super) prefix: String,
     pub(super) identity: SourcesIdentity,
-    /// Number of its demonstrations, if it is known.
-    pub(super) demonstrations: Option<usize>,
+    /// What is known of its demonstrations.
+    pub(super) surveyed: Option<Surveyed>,
 }
 
 /// The files of a dataset of several HDF5 files, in order. None of them is kept open.
@@ -110,7 +111,7 @@ impl Members {
                         identity: sources.identity(),
                         path,
                         prefix,
-                        demonstrations: None,
+                        surveyed: None,
                     }),
                     Err(error) => faults.push(error),
                 }
@@ -144,10 +145,10 @@ impl Members {
         &self.files
     }
 
-    /// Takes the numbers of demonstrations in the files from `known` where it has them.
-    pub fn set_counts(&mut self, known: impl Fn(&Path) -> Option<usize>) {
+    /// Takes what is known of the demonstrations of the files from `known` where it has it.
+    pub fn set_surveyed(&mut self, known: impl Fn(&Path) -> Option<Surveyed>) {
         for file in &mut self.files {
-            file.demonstrations = known(&file.path);
+            file.surveyed = known(&file.path);
         }
     }
 

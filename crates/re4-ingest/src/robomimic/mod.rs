@@ -26,6 +26,7 @@ mod sources;
 mod stated;
 mod summary;
 mod survey;
+mod used;
 
 pub use arm::{ArmConfig, ArmSource};
 pub use demo::Demo;
@@ -40,3 +41,4 @@ pub use several::{CamerasAsked, FileSource, Files, Several};
 pub use source::RobomimicSource;
 pub use sources::{Sources, SourcesIdentity};
 pub use summary::{Comparison, GoalErrors};
+pub use survey::Surveyed;

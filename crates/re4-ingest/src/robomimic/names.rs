@@ -13,8 +13,8 @@ use crate::warning::{Warning, WarningCode};
 /// Maximum length of a demonstration's name in bytes; names are part of tables, pages and messages.
 const MAX_NAME: usize = 200;
 
-/// Names of the groups in `/data` that are demonstrations, and a warning about other members.
-pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>), Hdf5Fault> {
+/// Names of the groups in `/data` that are demonstrations, and of the other members. If the others are `known`, no object is read.
+pub(super) fn demonstrations(file: &File, known: Option<&[String]>) -> Result<(Vec<String>, Vec<String>), Hdf5Fault> {
     let names = file.members_or_none("data")?;
     if let Some(name) = names
         .iter()
@@ -25,6 +25,10 @@ pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>),
             "a group in /data has the name {start:?} of {} bytes; rename it to a name of at most {MAX_NAME} bytes without control characters, such as demo_0",
             name.len()
         )));
+    }
+    if let Some(others) = known {
+        let of = |name: &String| !others.contains(name);
+        return Ok((names.into_iter().filter(of).collect(), others.to_vec()));
     }
     let mut demos = Vec::new();
     let mut others = Vec::new();
@@ -52,15 +56,16 @@ pub(super) fn demonstrations(file: &File) -> Result<(Vec<String>, Vec<Warning>),
     if demos.is_empty() {
         return Err(Hdf5Fault::NoData);
     }
-    let mut warnings = Vec::new();
-    if !others.is_empty() {
-        let message = format!(
-            "not ingested because they are not demonstrations: {}",
-            listed(&others, "/data/")
-        );
-        warnings.push(Warning::new(WarningCode::SkippedMembers, message, others.len()));
-    }
-    Ok((demos, warnings))
+    Ok((demos, others))
+}
+
+/// A warning about members of `/data` that are not demonstrations.
+pub(super) fn others_warning(others: &[String]) -> Option<Warning> {
+    let message = format!(
+        "not ingested because they are not demonstrations: {}",
+        listed(others, "/data/")
+    );
+    (!others.is_empty()).then(|| Warning::new(WarningCode::SkippedMembers, message, others.len()))
 }
 
 /// Whether a name ends in a digit, as those of demonstrations do.
@@ -105,14 +110,14 @@ pub(super) fn mark_filter_keys(
                 continue;
             }
         };
-        if let Some(name) = listed
-            .iter()
-            .find(|name| asked_for && demos.iter().all(|demo| demo.name != **name))
-        {
-            return Err(Hdf5Fault::FilterNames {
-                filter: key.clone(),
-                demo: name.clone(),
-            });
+        if asked_for {
+            let known: BTreeSet<&str> = demos.iter().map(|demo| demo.name.as_str()).collect();
+            if let Some(name) = listed.iter().find(|name| !known.contains(name.as_str())) {
+                return Err(Hdf5Fault::FilterNames {
+                    filter: key.clone(),
+                    demo: name.clone(),
+                });
+            }
         }
         let listed: BTreeSet<String> = listed.into_iter().collect();
         for demo in demos.iter_mut().filter(|demo| listed.contains(&demo.name)) {

@@ -8,14 +8,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 use re4_robosuite::env_args::EnvArgs;
+use serde::{Deserialize, Serialize};
 
 use super::demo::{Demo, FoundDemo, Wanted};
 use super::fault::Hdf5Fault;
 use super::file::{Access, File, Kind};
-use super::names::{chosen, demonstrations, mark_filter_keys, numbered};
+use super::names::{chosen, demonstrations, mark_filter_keys, numbered, others_warning};
 use super::relatives::{Cameras, FoundDatagen};
 use super::sources::{MODELS_FOLDER, Sources};
-use super::survey::Survey;
+use super::survey::{Survey, Surveyed};
 use crate::demos::{DemoName, Info};
 use crate::error::{Fault, IngestError};
 use crate::selection::Selection;
@@ -26,7 +27,7 @@ use crate::warning::{Warning, WarningCode};
 const AHEAD: usize = 16;
 
 /// Which demonstrations to read.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DemoChoice {
     /// Name of a filter key in `/mask`; only demonstrations that it lists are read.
     pub filter: Option<String>,
@@ -37,7 +38,8 @@ pub struct DemoChoice {
 }
 
 /// Layout of the demonstrations of a file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Layout {
     /// robomimic's layout, with observations.
     Observed,
@@ -50,16 +52,11 @@ pub struct RobomimicReader {
     pub(super) path: PathBuf,
     pub(super) file: File,
     sources: Sources,
-    layout: Layout,
-    /// Whether the pose of the object must be computed from the states.
-    pub(super) object_from_states: bool,
-    /// Whether no demonstration has the observation of the object.
-    pub(super) lacks_objects: bool,
+    /// What all requested demonstrations have.
+    pub(super) surveyed: Surveyed,
     /// How the datasets of images are named.
     pub(super) image_names: Cameras,
     demos: Vec<DemoName>,
-    /// Number of demonstrations in the whole file.
-    found: usize,
     /// Filter keys in `/mask` that list at least one demonstration.
     filter_keys: BTreeSet<String>,
     warnings: Vec<Warning>,
@@ -75,14 +72,17 @@ struct Found {
     demos: Vec<DemoName>,
     /// Number of all demonstrations.
     count: usize,
+    /// Members of `/data` that are not demonstrations.
+    others: Vec<String>,
     filter_keys: BTreeSet<String>,
     warnings: Vec<Warning>,
 }
 
 impl Found {
-    fn of(sources: &Sources, choice: &DemoChoice, access: Access) -> Result<Self, Fault> {
+    fn of(sources: &Sources, choice: &DemoChoice, access: Access, known: Option<&Surveyed>) -> Result<Self, Fault> {
         let file = File::open(Arc::clone(sources.file()), access, !choice.cautious)?;
-        let (names, mut warnings) = demonstrations(&file)?;
+        let (names, others) = demonstrations(&file, known.map(|known| known.others.as_slice()))?;
+        let mut warnings: Vec<Warning> = others_warning(&others).into_iter().collect();
         let mut demos = numbered(names);
         mark_filter_keys(&file, choice, &mut demos, &mut warnings)?;
         if let Some(filter) = &choice.filter
@@ -94,6 +94,7 @@ impl Found {
             filter_keys: demos.iter().flat_map(|demo| demo.filter_keys.iter().cloned()).collect(),
             count: demos.len(),
             demos: chosen(&demos, choice)?,
+            others,
             file,
             warnings,
         })
@@ -104,11 +105,18 @@ impl RobomimicReader {
     /// Opens a file and finds its demonstrations, in the order of the numbers at the end of their names (`demo_2` before
     /// `demo_10`), and the model files beside it that they refer to.
     ///
+    /// With what is `known` of the file for this choice, no demonstration is looked at.
+    ///
     /// # Errors
     /// The file is not an HDF5 file of demonstrations, the filter key does not exist or names a missing demonstration, or the
     /// selection does not match. With [`Access::Direct`] also [`Hdf5Fault::NeedsLibrary`].
-    pub fn open(sources: &Sources, choice: &DemoChoice, access: Access) -> Result<Self, IngestError> {
-        Self::open_places(sources, choice, access, None)
+    pub fn open(
+        sources: &Sources,
+        choice: &DemoChoice,
+        access: Access,
+        known: Option<&Surveyed>,
+    ) -> Result<Self, IngestError> {
+        Self::open_places(sources, choice, access, None, known)
     }
 
     /// Like [`Self::open`], only for those of the chosen demonstrations that have these indices, if some are given.
@@ -117,14 +125,16 @@ impl RobomimicReader {
         choice: &DemoChoice,
         access: Access,
         places: Option<&[usize]>,
+        known: Option<&Surveyed>,
     ) -> Result<Self, IngestError> {
+        let known = known.filter(|known| known.choice == *choice);
         Self::checked(sources, || {
-            let mut found = Found::of(sources, choice, access)?;
+            let mut found = Found::of(sources, choice, access, known)?;
             if let Some(places) = places {
                 let demos = places.iter().filter_map(|place| found.demos.get(*place).cloned());
                 found.demos = demos.collect();
             }
-            Self::opened(sources.clone(), found)
+            Self::opened(sources.clone(), found, choice, known)
         })
     }
 
@@ -135,7 +145,7 @@ impl RobomimicReader {
         access: Access,
     ) -> Result<(Vec<DemoName>, usize), IngestError> {
         Self::checked(sources, || {
-            let found = Found::of(sources, choice, access)?;
+            let found = Found::of(sources, choice, access, None)?;
             Ok((found.demos, found.count))
         })
     }
@@ -151,16 +161,20 @@ impl RobomimicReader {
         })
     }
 
-    fn opened(sources: Sources, found: Found) -> Result<Self, Fault> {
+    fn opened(sources: Sources, found: Found, choice: &DemoChoice, known: Option<&Surveyed>) -> Result<Self, Fault> {
         let Found {
             file,
             demos,
-            count: found,
+            count,
+            others,
             filter_keys,
             mut warnings,
         } = found;
-        let survey = Survey::of(&file, &demos)?;
-        warnings.extend(survey.warning());
+        let surveyed = match known {
+            Some(known) => known.clone(),
+            None => Survey::of(&file, &demos)?.surveyed(choice, count, others, demos.len()),
+        };
+        warnings.extend(surveyed.warning.clone());
         let models = if sources.has_models_folder() {
             models_of(&file, &demos)?
         } else {
@@ -169,14 +183,11 @@ impl RobomimicReader {
         let image_names = Cameras::of(file.text("data", Cameras::ATTRIBUTE)?.as_deref());
         Ok(Self {
             path: sources.path().to_owned(),
-            layout: survey.layout(),
-            object_from_states: survey.object_from_states(),
-            lacks_objects: survey.lacks_objects(),
+            surveyed,
             image_names,
             sources: sources.with_models(models),
             file,
             demos,
-            found,
             filter_keys,
             warnings,
             sidecars: Mutex::default(),
@@ -201,7 +212,12 @@ impl RobomimicReader {
 
     /// Layout of the demonstrations.
     pub fn layout(&self) -> Layout {
-        self.layout
+        self.surveyed.layout
+    }
+
+    /// What a look at all requested demonstrations found, for opening the file again.
+    pub fn surveyed(&self) -> &Surveyed {
+        &self.surveyed
     }
 
     /// Metadata on how the file was recorded; `setting` replaces its attribute `env_args`.
@@ -322,7 +338,7 @@ impl RobomimicReader {
     }
 
     fn wanted(&self) -> Wanted {
-        match self.layout {
+        match self.surveyed.layout {
             Layout::Observed => Wanted::Observed,
             Layout::Raw if self.image_names.are_libero() => Wanted::Late,
             Layout::Raw => Wanted::Raw,
@@ -331,16 +347,17 @@ impl RobomimicReader {
 
     /// Reads one demonstration, including the angular velocities of the end effector.
     pub(super) fn read(&self, demo: &DemoName) -> Result<Demo, Hdf5Fault> {
-        let wanted = match self.layout {
+        let wanted = match self.surveyed.layout {
             Layout::Observed => Wanted::ObservedWithVelocities,
             Layout::Raw => self.wanted(),
         };
         self.find(&demo.name, wanted)?.read(&self.file)
     }
 
-    /// The actions of the demonstration with this name; `None` if it does not exist.
+    /// The actions of the demonstration of the file with this name; `None` if it does not exist.
     pub(super) fn actions(&self, name: &str) -> Result<Option<Vec<[f64; 7]>>, Hdf5Fault> {
-        if self.demos.iter().all(|demo| demo.name != name) {
+        let is_demo = !self.surveyed.others.iter().any(|other| other == name);
+        if !is_demo || !self.file.exists(&format!("data/{name}"))? {
             return Ok(None);
         }
         Ok(Some(self.find(name, Wanted::Actions)?.read(&self.file)?.actions))
@@ -433,13 +450,13 @@ impl RobomimicReader {
             features => features.unwrap_or_default(),
         };
         Ok(Info {
-            format: match self.layout {
+            format: match self.surveyed.layout {
                 Layout::Observed => "hdf5, robomimic",
                 Layout::Raw => "hdf5, robosuite raw",
             }
             .to_owned(),
             features,
-            demonstrations: self.found,
+            demonstrations: self.surveyed.found,
             filter_keys: self.filter_keys.iter().cloned().collect(),
             ..info
         })
@@ -451,7 +468,7 @@ impl RobomimicReader {
     /// # Errors
     /// The file needs the HDF5 library but was opened without it.
     pub(super) fn total_warning(&self, frames: u64) -> Result<Option<Warning>, IngestError> {
-        if self.demos.len() < self.found {
+        if self.demos.len() < self.surveyed.found {
             return Ok(None);
         }
         let total = match self.file.count("data", "total") {

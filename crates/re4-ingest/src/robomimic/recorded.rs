@@ -48,7 +48,7 @@ impl RobomimicReader {
         add("layout", format!("{:?}", self.layout()).to_lowercase());
         add(
             "poses of the object",
-            format!("from states: {}", self.object_from_states),
+            format!("from states: {}", self.surveyed.object_from_states),
         );
         add("images", self.first_images().map_err(or_fault)?);
         Ok(all)

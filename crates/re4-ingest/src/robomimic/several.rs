@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use serde_json::json;
 
@@ -16,6 +16,8 @@ use super::interpret::{Interpreter, PROVEN_ON, Reading};
 use super::members::{Member, Members, combined};
 use super::reader::{DemoChoice, RobomimicReader};
 use super::sources::Sources;
+use super::survey::Surveyed;
+use super::used::{Used, other};
 use crate::demos::{DemoName, DemoSource, Episode, ImageBlock, Info, Tally};
 use crate::error::{Fault, IngestError};
 use crate::name::SourceName;
@@ -69,66 +71,12 @@ impl CamerasAsked {
     }
 }
 
-/// A file of which demonstrations are requested.
-#[derive(Debug, Clone)]
-struct Used {
-    file: Member,
-    /// Index of its first demonstration in the dataset.
-    start: usize,
-    /// Number of its requested demonstrations.
-    count: usize,
-    /// Indices of these among the demonstrations that the filter lists; `None` for all.
-    places: Option<Vec<usize>>,
-}
-
-impl Used {
-    fn range(&self) -> Range<usize> {
-        self.start..self.start + self.count
-    }
-
-    fn name(&self, name: &str) -> String {
-        [self.file.prefix.as_str(), name].concat()
-    }
-
-    fn left_out(&self, left: &LeftOut) -> LeftOut {
-        LeftOut {
-            demo: self.name(&left.demo),
-            why: format!("in {}, {}", self.file.path.display(), left.why),
-        }
-    }
-
-    fn episode(&self, episode: Result<Episode, LeftOut>) -> Result<Episode, LeftOut> {
-        let mut episode = episode.map_err(|left| self.left_out(&left))?;
-        episode.name.name = self.name(&episode.name.name);
-        // Other files have demonstrations of the same number.
-        episode.name.number = None;
-        let within = |text: &mut String| *text = format!("in {}, {text}", self.file.path.display());
-        episode.contradiction.iter_mut().for_each(within);
-        episode.skipped.iter_mut().for_each(within);
-        Ok(episode)
-    }
-
-    fn open(&self, choice: &DemoChoice, access: Access) -> Result<RobomimicReader, IngestError> {
-        let sources = Sources::open_again(&self.file.path, &self.file.identity)?;
-        let mut reader = RobomimicReader::open_places(&sources, choice, access, self.places.as_deref())?;
-        if let Some(model) = reader.sources().model_names().next() {
-            return Err(other(
-                &self.file.path,
-                format!(
-                    "its demonstrations refer to models beside the file, such as {model}, which is only supported for a dataset of one file; ingest the files one by one"
-                ),
-            ));
-        }
-        if reader.demos().len() != self.count {
-            return Err(sources.changed());
-        }
-        reader.prefix.clone_from(&self.file.prefix);
-        Ok(reader)
-    }
-}
-
-fn other(dataset: &Path, text: String) -> IngestError {
-    Fault::from(Hdf5Fault::Other(text)).of(dataset)
+/// The demonstrations of a file.
+enum Listed {
+    /// All that the filter lists are requested.
+    All(Surveyed),
+    /// Those that the filter lists, of which some may be requested, and the number of all in the file.
+    Names(Vec<DemoName>, usize),
 }
 
 /// The files of a dataset, with the requested demonstrations of each.
@@ -149,7 +97,7 @@ pub struct Files {
 impl Files {
     /// Finds the requested demonstrations by their names, opens the files of those that are needed, and checks that these files were
     /// recorded in the same way as the first one. `needed` returns the range of the demonstrations that are read, from the number of
-    /// all. Files whose numbers of demonstrations are known are not opened if none of their demonstrations is needed.
+    /// all. Files that were surveyed are not opened if none of their demonstrations is needed.
     ///
     /// # Errors
     /// Names all files that cannot be used: a filter key does not exist in one, or it differs from the first; or the selection does
@@ -190,11 +138,10 @@ impl Files {
         self.used.last().map_or(0, |last| last.range().end)
     }
 
-    /// The numbers of demonstrations in the files, if all demonstrations are requested.
-    pub fn counts(&self) -> impl Iterator<Item = (&Path, usize)> {
-        let all = self.choice.filter.is_none() && self.used.iter().all(|used| used.places.is_none());
-        let used = self.used.iter().filter(move |_| all);
-        used.map(|used| (used.file.path.as_path(), used.count))
+    /// What is known of the demonstrations of the files, for opening the dataset again.
+    pub fn surveyed(&self) -> impl Iterator<Item = (&Path, &Surveyed)> {
+        let whole = self.used.iter().filter(|used| used.places.is_none());
+        whole.filter_map(|used| Some((used.file.path.as_path(), used.surveyed.get()?)))
     }
 
     /// Lists the demonstrations of all files, and selects among them. Returns the faults of files.
@@ -203,14 +150,10 @@ impl Files {
         let (mut faults, mut names): (Vec<IngestError>, Vec<SourceName>) = (Vec::new(), Vec::new());
         let mut start = 0;
         for file in members.files() {
-            let known = file.demonstrations.filter(|_| whole && self.choice.filter.is_none());
-            let listed = match known {
-                Some(count) => Ok((Vec::new(), count, count)),
-                None => Sources::open_again(&file.path, &file.identity)
-                    .and_then(|sources| RobomimicReader::list(&sources, &self.choice, self.access))
-                    .map(|(demos, found)| (demos.iter().map(|demo| demo.name.clone()).collect(), demos.len(), found)),
-            };
-            let (demos, count, found): (Vec<String>, usize, usize) = match listed {
+            let known = file.surveyed.as_ref();
+            let known = known.filter(|known| whole && known.choice == self.choice).cloned();
+            let listed = known.map_or_else(|| self.listed(file, whole), |known| Ok(Listed::All(known)));
+            let listed = match listed {
                 Ok(listed) => listed,
                 Err(error) if error.needs_library() || error.fault.ends_reading() || self.choice.cautious => {
                     return Err(error);
@@ -220,21 +163,28 @@ impl Files {
                     continue;
                 }
             };
-            if !whole {
-                names.extend(
-                    demos
-                        .iter()
-                        .map(|name| SourceName::new([file.prefix.as_str(), name].concat())),
-                );
-            }
-            self.used.push(Used {
+            let mut used = Used {
                 file: file.clone(),
                 start,
-                count,
+                count: 0,
                 places: None,
-            });
-            start += count;
-            self.found += found;
+                surveyed: OnceLock::new(),
+            };
+            match listed {
+                Listed::All(known) => {
+                    used.count = known.demonstrations;
+                    self.found += known.found;
+                    used.surveyed = known.into();
+                }
+                Listed::Names(demos, found) => {
+                    used.count = demos.len();
+                    self.found += found;
+                    let full = |demo: &DemoName| SourceName::new([file.prefix.as_str(), &demo.name].concat());
+                    names.extend(demos.iter().map(full));
+                }
+            }
+            start += used.count;
+            self.used.push(used);
         }
         if whole || !faults.is_empty() {
             return Ok(faults);
@@ -254,6 +204,17 @@ impl Files {
         }
         self.used.retain(|used| used.count > 0);
         Ok(faults)
+    }
+
+    /// Finds the demonstrations of a file; if `whole`, all of them are requested, and looked at.
+    fn listed(&self, file: &Member, whole: bool) -> Result<Listed, IngestError> {
+        let sources = Sources::open_again(&file.path, &file.identity)?;
+        if whole {
+            let reader = RobomimicReader::open(&sources, &self.choice, self.access, None)?;
+            return Ok(Listed::All(reader.surveyed().clone()));
+        }
+        let (demos, found) = RobomimicReader::list(&sources, &self.choice, self.access)?;
+        Ok(Listed::Names(demos, found))
     }
 
     /// Whether this process reads demonstrations of a file.

@@ -36,7 +36,7 @@ impl Comparison {
     /// # Errors
     /// Same as [`RobomimicReader::open`].
     pub fn open(sources: &Sources, access: Access) -> Result<Self, IngestError> {
-        RobomimicReader::open(sources, &DemoChoice::default(), access).map(|reader| Self { reader })
+        RobomimicReader::open(sources, &DemoChoice::default(), access, None).map(|reader| Self { reader })
     }
 
     /// Checks that its files have not changed since they were opened.

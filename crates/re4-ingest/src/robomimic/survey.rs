@@ -1,10 +1,14 @@
 //! Decides whether a file is read by its observations or by its states, depending on which of them its demonstrations have.
 
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
 use super::demo::OBSERVATIONS;
 use super::fault::Hdf5Fault;
 use super::file::File;
 use super::names::listed;
-use super::reader::Layout;
+use super::reader::{DemoChoice, Layout};
 use crate::demos::DemoName;
 use crate::warning::{Warning, WarningCode};
 
@@ -19,14 +23,37 @@ enum Observed {
     None,
 }
 
+/// What a look at all requested demonstrations of a file found. It follows from the content of the file and the choice, so a process
+/// that has it need not look at the demonstrations again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Surveyed {
+    /// The choice for which it holds.
+    pub(super) choice: DemoChoice,
+    /// Number of requested demonstrations.
+    pub(super) demonstrations: usize,
+    /// Number of all demonstrations in the file.
+    pub(super) found: usize,
+    /// Members of `/data` that are not demonstrations.
+    pub(super) others: Vec<String>,
+    pub(super) layout: Layout,
+    /// Whether the pose of the object must be computed from the states.
+    pub(super) object_from_states: bool,
+    /// Whether no demonstration has the observation of the object.
+    pub(super) lacks_objects: bool,
+    /// Names of the observations that at least one demonstration has.
+    pub(super) observations: BTreeSet<String>,
+    /// Whether observations exist but are not used.
+    pub(super) warning: Option<Warning>,
+}
+
 /// Which data the demonstrations of a file have.
 #[derive(Debug)]
 pub(super) struct Survey {
     demos: Vec<(String, Observed)>,
     /// Whether every demonstration has states and a model.
     states: bool,
-    /// Whether any demonstration has `obs/object`.
-    objects: bool,
+    /// Names of the observations that at least one demonstration has.
+    observations: BTreeSet<String>,
 }
 
 impl Survey {
@@ -35,7 +62,7 @@ impl Survey {
         let mut survey = Self {
             demos: Vec::new(),
             states: true,
-            objects: false,
+            observations: BTreeSet::new(),
         };
         for demo in demos {
             let group = format!("data/{}", demo.name);
@@ -51,10 +78,14 @@ impl Survey {
             let has = |members: &[String], name: &str| members.iter().any(|member| member == name);
             let observed = if has(&members, "obs") {
                 let observations = file.members(&format!("{group}/obs")).or_else(lost)?;
-                survey.objects |= has(&observations, "object");
                 let lacks = OBSERVATIONS
                     .iter()
                     .find(|(name, _)| !has(&observations, name.trim_start_matches("obs/")));
+                for name in observations {
+                    if !survey.observations.contains(&name) {
+                        survey.observations.insert(name);
+                    }
+                }
                 lacks.map_or(Observed::Whole, |(name, _)| Observed::Lacks(name))
             } else {
                 Observed::None
@@ -76,7 +107,7 @@ impl Survey {
     ///
     /// * No demonstration has complete observations, or some have none and all others are complete.
     /// * All demonstrations have states and a model, or none has observations.
-    pub(super) fn layout(&self) -> Layout {
+    fn layout(&self) -> Layout {
         let whole = self.count(|observed| *observed == Observed::Whole);
         let none = self.count(|observed| *observed == Observed::None);
         let by_states = whole == 0 || (none > 0 && whole + none == self.demos.len());
@@ -88,18 +119,30 @@ impl Survey {
         }
     }
 
-    /// Whether no demonstration has `obs/object`.
-    pub(super) fn lacks_objects(&self) -> bool {
-        !self.objects
-    }
-
-    /// Whether the pose of the object must be computed from the states: no demonstration has it, and all have states and a model.
-    pub(super) fn object_from_states(&self) -> bool {
-        !self.objects && self.states
+    /// What it found, for a choice of the `found` demonstrations of a file, which also has the members `others`.
+    pub(super) fn surveyed(
+        self,
+        choice: &DemoChoice,
+        found: usize,
+        others: Vec<String>,
+        demonstrations: usize,
+    ) -> Surveyed {
+        let lacks_objects = !self.observations.contains("object");
+        Surveyed {
+            choice: choice.clone(),
+            demonstrations,
+            found,
+            others,
+            layout: self.layout(),
+            object_from_states: lacks_objects && self.states,
+            lacks_objects,
+            warning: self.warning(),
+            observations: self.observations,
+        }
     }
 
     /// A warning if observations exist but are not used.
-    pub(super) fn warning(&self) -> Option<Warning> {
+    fn warning(&self) -> Option<Warning> {
         let unused: Vec<String> = self
             .demos
             .iter()
@@ -142,7 +185,7 @@ mod tests {
         Survey {
             demos: demos.collect(),
             states,
-            objects: true,
+            observations: BTreeSet::new(),
         }
     }
 

@@ -25,19 +25,39 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-/// The original dataset, if it is available.
-pub(crate) fn real_dataset() -> Option<PathBuf> {
+/// A file or folder of the datasets that are not part of the repository, if it is available.
+pub(crate) fn available(name: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let data = std::env::var_os("RE4_DATA").map_or_else(beside, PathBuf::from);
-    let dataset = data.join("pusht/pusht_cchi_v7_replay.zarr");
-    let there = dataset.is_dir();
+    let path = data.join(name);
+    let there = path.exists();
     if !there {
         println!(
             "skipped: no {}; set RE4_DATA to the folder of the datasets",
-            dataset.display()
+            path.display()
         );
     }
-    there.then_some(dataset)
+    there.then_some(path)
+}
+
+/// The original dataset, if it is available.
+pub(crate) fn real_dataset() -> Option<PathBuf> {
+    available("pusht/pusht_cchi_v7_replay.zarr")
+}
+
+/// The files of a folder and of the folders in it that have this extension, sorted.
+pub(crate) fn files_below(folder: &Path, extension: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files_below(&path, extension));
+        } else if path.extension().is_some_and(|end| end == extension) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
 }
 
 pub(crate) fn state(t: usize) -> [f64; 5] {

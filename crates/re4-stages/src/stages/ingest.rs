@@ -5,6 +5,7 @@ mod describe;
 mod hdf5;
 mod helper;
 mod lerobot;
+mod message;
 mod rendered;
 mod renumber;
 mod serve;
@@ -101,7 +102,11 @@ impl Runner {
 
     /// Lets a worker make the artifact.
     fn made_by_worker(&self, request: &Request, recipe: &Recipe, start: Instant) -> Result<Built> {
-        let partly = self.attended(request, |bar| worker::run(request, &self.interrupt, bar))?;
+        let partly = self.attended(request, |bar| {
+            worker::run(request, &self.interrupt, bar, &|path, surveyed| {
+                self.set_surveyed(path, surveyed);
+            })
+        })?;
         if let Some(partly) = partly {
             return Err(partly.into());
         }

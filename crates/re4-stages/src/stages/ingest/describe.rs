@@ -67,7 +67,7 @@ pub(super) fn serve(question: &Question, interrupt: &Interrupt) -> Result<Descri
                 ..DemoChoice::default()
             };
             Sources::open(&question.source)
-                .and_then(|sources| RobomimicReader::open(&sources, &choice, Access::Library))
+                .and_then(|sources| RobomimicReader::open(&sources, &choice, Access::Library, None))
                 .and_then(|reader| robomimic::describe(&reader))
         }
     };

@@ -14,9 +14,10 @@ use re4_robosuite::env_args::EnvArgs;
 use re4_task::Task;
 use serde_json::{Value, json};
 
+use super::message::Message;
 use super::rendered::{self, Rendering};
 use super::spool::Spool;
-use super::worker::{self, Format, Hdf5, Message, Request};
+use super::worker::{self, Format, Hdf5, Request};
 use super::write::{Images, Ingest};
 use super::{STAGE, recipe};
 use crate::addresses::address_of;
@@ -41,6 +42,7 @@ impl Runner {
         let compare_sources = compare.as_deref().map(Sources::open).transpose()?;
         let mut hdf5 = Hdf5 {
             identity: sources.identity(),
+            surveyed: self.surveyed(sources.path()),
             compare_hash: None,
             compare_identity: compare_sources.as_ref().map(Sources::identity),
             compare,
@@ -69,14 +71,7 @@ impl Runner {
             }
             request.hash = None;
         }
-        let hash = |sources: &Sources| {
-            let hash = || self.hash(|stop| sources.hash(stop), STAGE);
-            if sources.has_models_folder() {
-                hash()
-            } else {
-                self.hashed_before(sources.path(), hash)
-            }
-        };
+        let hash = |sources: &Sources| self.hash_of_hdf5(sources);
         // The file is opened and its conventions are determined while it is hashed. If there is a folder of models, the hash also
         // covers the models that the file refers to, so hashing has to wait until the file is open.
         let single_file = !sources.has_models_folder();
@@ -104,6 +99,10 @@ impl Runner {
             Some(hashed) => hashed.map_err(|_| fault!("the thread that hashes the source stopped"; "run again"))??,
             None => hash(&sources)?,
         });
+        if let Some(reader) = &direct {
+            self.set_surveyed(sources.path(), reader.surveyed());
+            hdf5.surveyed = Some(reader.surveyed().clone());
+        }
         hdf5.compare_hash = compare_sources.as_ref().map(hash).transpose()?;
         request.format = Format::Hdf5(Box::new(hdf5));
         let recipe = request.recipe(Value::Null)?;
@@ -133,12 +132,23 @@ impl Runner {
         self.made_by_worker(&request, &recipe, start)
     }
 
+    /// The hash of a file and of the models beside it that it refers to.
+    fn hash_of_hdf5(&self, sources: &Sources) -> Result<Key> {
+        let hash = || self.hash(|stop| sources.hash(stop), STAGE);
+        if sources.has_models_folder() {
+            hash()
+        } else {
+            self.hashed_before(sources.path(), hash)
+        }
+    }
+
     /// Opens the file without the HDF5 library; `None` if its layout needs the library.
     fn open_direct(&self, sources: &Sources) -> Result<Option<RobomimicReader>> {
         if is_library_forced() {
             return Ok(None);
         }
-        match RobomimicReader::open(sources, &choice(&self.pipeline, false), Access::Direct) {
+        let known = self.surveyed(sources.path());
+        match RobomimicReader::open(sources, &choice(&self.pipeline, false), Access::Direct, known.as_ref()) {
             Err(error) if error.needs_library() => Ok(None),
             opened => Ok(Some(opened?)),
         }
@@ -183,7 +193,9 @@ impl Request {
 /// In the worker: makes and publishes the artifact, or returns the models that the file refers to.
 pub(super) fn serve(request: &Request, hdf5: &Hdf5, interrupt: &Interrupt) -> Result<Message> {
     let sources = Sources::open_again(&request.source, &hdf5.identity)?;
-    let reader = RobomimicReader::open(&sources, &choice(&request.pipeline, request.cautious), Access::Library)?;
+    let choice = choice(&request.pipeline, request.cautious);
+    let reader = RobomimicReader::open(&sources, &choice, Access::Library, hdf5.surveyed.as_ref())?;
+    worker::surveyed(request, sources.path(), reader.surveyed());
     if request.hash.is_none() {
         return Ok(Message::Models(
             reader.sources().model_names().map(str::to_owned).collect(),

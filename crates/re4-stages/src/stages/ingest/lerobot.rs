@@ -14,7 +14,8 @@ use re4_task::Domain;
 use serde_json::{Value, json};
 
 use super::STAGE;
-use super::worker::{self, Format, Message, Request};
+use super::message::Message;
+use super::worker::{self, Format, Request};
 use super::write::{Images, Ingest};
 use crate::addresses::address_of;
 use crate::interrupt::Interrupt;

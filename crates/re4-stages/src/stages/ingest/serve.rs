@@ -8,7 +8,8 @@ use nix::sys::resource::{Resource, setrlimit};
 use re4_artifact::Store;
 use re4_fault::{OrFault as _, fault};
 
-use super::worker::{self, Format, Message, Work, send};
+use super::message::{Message, send};
+use super::worker::{self, Format, Work};
 use super::{describe, hdf5, helper, lerobot, several};
 use crate::addresses::local_store;
 use crate::interrupt::Interrupt;

@@ -14,9 +14,10 @@ use serde_json::{Value, json};
 
 use super::STAGE;
 use super::hdf5::{choice, is_library_forced, needs_library, reading};
+use super::message::Message;
 use super::rendered::Rendering;
 use super::spool::Spool;
-use super::worker::{self, Format, Message, Request};
+use super::worker::{self, Format, Request};
 use super::write::{Images, Ingest};
 use crate::addresses::address_of;
 use crate::inputs::sources::find_source;
@@ -76,7 +77,7 @@ impl Runner {
             let hashed = self.hashed_before(file.path(), || self.hash(|stop| file.hash(stop), STAGE));
             anyhow::Ok(*hashed?.as_bytes())
         })?;
-        members.set_counts(|path| self.known_count(path));
+        members.set_surveyed(|path| self.surveyed(path));
         let mut request = Request {
             hash: Some(Key::from_bytes(hash)),
             format: Format::Several(Box::new(members.clone())),
@@ -100,8 +101,8 @@ impl Runner {
                 made => return self.made(made?, &recipe, start),
             }
         }
-        // What was counted on the way is of use to the worker.
-        members.set_counts(|path| self.known_count(path));
+        // What was found on the way is of use to the worker.
+        members.set_surveyed(|path| self.surveyed(path));
         request.format = Format::Several(Box::new(members));
         self.made_by_worker(&request, &recipe, start)
     }
@@ -113,8 +114,8 @@ impl Runner {
             bar.set_position(done);
         };
         let files = opened(request, members, Access::Direct)?;
-        for (path, count) in files.counts() {
-            self.set_count(path, count);
+        for (path, surveyed) in files.surveyed() {
+            self.set_surveyed(path, surveyed);
         }
         let made = make(request, members, files, &self.interrupt, &show);
         bar.finish_and_clear();
@@ -125,6 +126,9 @@ impl Runner {
 /// In the worker: makes and publishes the artifact.
 pub(super) fn serve(request: &Request, members: &Members, interrupt: &Interrupt) -> Result<Message> {
     let files = opened(request, members, Access::Library)?;
+    for (path, surveyed) in files.surveyed() {
+        worker::surveyed(request, path, surveyed);
+    }
     make(request, members, files, interrupt, &|done, all| {
         worker::progress(done, all, interrupt);
     })?;

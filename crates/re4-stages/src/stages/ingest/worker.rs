@@ -19,11 +19,12 @@ use re4_artifact::Key;
 use re4_fault::{Fault, OrFault as _, Remedy, bail, fault};
 use re4_ingest::Description;
 use re4_ingest::lerobot::LerobotFiles;
-use re4_ingest::robomimic::{Members, SourcesIdentity};
+use re4_ingest::robomimic::{Members, SourcesIdentity, Surveyed};
 use serde::{Deserialize, Serialize};
 use tracing::info;
 
 use super::helper::Setup;
+use super::message::{Message, send};
 use crate::interrupt::Interrupt;
 use crate::parts::{Partly, Share};
 use crate::pipeline::Pipeline;
@@ -134,6 +135,8 @@ pub(crate) enum Format {
 pub(crate) struct Hdf5 {
     /// Identity of the files that were hashed.
     pub(crate) identity: SourcesIdentity,
+    /// What is known of its demonstrations.
+    pub(crate) surveyed: Option<Surveyed>,
     /// The file of `ingest.compare`.
     pub(crate) compare: Option<PathBuf>,
     /// Hash of the file of `ingest.compare`.
@@ -238,54 +241,18 @@ impl Work {
     }
 }
 
-/// A message of a worker: one JSON object per line.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum Message {
-    /// Number of finished demonstrations or images, and their total number.
-    Progress(u64, u64),
-    /// Names of the model files that the source refers to.
-    Models(Vec<String>),
-    /// Hash and identity of the files of a LeRobot dataset. Which files these are is known only after it was opened.
-    Hashed(Key, LerobotFiles),
-    /// What a dataset is.
-    Described(Description),
-    /// The artifact is published.
-    Done,
-    /// The worker has made its shard of the artifact, or found that parts are missing.
-    Partly(Partly),
-    /// The worker stopped with an error.
-    Failed {
-        /// What is wrong.
-        what: String,
-        /// How to fix it, if known.
-        remedy: Option<String>,
-    },
-}
-
-/// Sends a message to the parent process.
-pub(super) fn send(message: &Message) {
-    if let Ok(text) = serde_json::to_string(message) {
-        let mut output = std::io::stdout().lock();
-        // If the parent has ended, this process is about to stop, too.
-        let _ = writeln!(output, "{text}").and_then(|()| output.flush());
-    }
-}
-
-impl Message {
-    /// The message about an error that stopped the worker.
-    pub(super) fn failed(fault: &Fault) -> Self {
-        Self::Failed {
-            what: fault.to_string(),
-            remedy: fault.remedy().map(Into::into),
-        }
-    }
-}
-
 /// Reports from the worker that `done` of `all` demonstrations or images are finished.
 pub(super) fn progress(done: u64, all: u64, interrupt: &Interrupt) {
     send(&Message::Progress(done, all));
     wait_at_gate(done, interrupt);
+}
+
+/// Reports from the worker what was found out about the demonstrations of a file.
+pub(super) fn surveyed(request: &Request, path: &Path, surveyed: &Surveyed) {
+    // In cautious mode, only the first demonstration was looked at.
+    if !request.cautious {
+        send(&Message::Surveyed(path.to_owned(), Box::new(surveyed.clone())));
+    }
 }
 
 /// Waits at the point that a test has set with [`GATE_VARIABLE`].
@@ -307,9 +274,17 @@ fn wait_at_gate(done: u64, interrupt: &Interrupt) {
     }
 }
 
+/// Receives what a worker found out about the demonstrations of a file.
+type OnSurveyed<'a> = &'a dyn Fn(&Path, &Surveyed);
+
 /// Runs a worker that makes the artifact. Returns what it made if that is not the whole artifact.
-pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Option<Partly>> {
-    Ok(match work(&ingest(request), interrupt, bar)? {
+pub(super) fn run(
+    request: &Request,
+    interrupt: &Interrupt,
+    bar: &ProgressBar,
+    found: OnSurveyed<'_>,
+) -> Result<Option<Partly>> {
+    Ok(match work(&ingest(request), interrupt, bar, found)? {
         Message::Partly(partly) => Some(partly),
         _ => None,
     })
@@ -317,7 +292,7 @@ pub(super) fn run(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -
 
 /// Asks a worker for the names of the model files that the source's demonstrations refer to.
 pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Vec<String>> {
-    match work(&ingest(request), interrupt, bar)? {
+    match work(&ingest(request), interrupt, bar, &|_, _| {})? {
         Message::Models(names) => Ok(names),
         _ => {
             bail!("the worker process did not return the names of the models in {}", request.source.display(); "run again")
@@ -327,7 +302,7 @@ pub(super) fn models(request: &Request, interrupt: &Interrupt, bar: &ProgressBar
 
 /// Asks a worker for the hash of a LeRobot dataset.
 pub(super) fn hashed(request: &Request, interrupt: &Interrupt, bar: &ProgressBar) -> Result<(Key, LerobotFiles)> {
-    match work(&ingest(request), interrupt, bar)? {
+    match work(&ingest(request), interrupt, bar, &|_, _| {})? {
         Message::Hashed(hash, files) => Ok((hash, files)),
         _ => bail!("the worker process did not return the hash of {}", request.source.display(); "run again"),
     }
@@ -340,18 +315,18 @@ fn ingest(request: &Request) -> Work {
 /// Asks a worker to describe a dataset.
 pub(crate) fn described(question: Question, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Description> {
     let source = question.source.clone();
-    match work(&Work::Describe(question), interrupt, bar)? {
+    match work(&Work::Describe(question), interrupt, bar, &|_, _| {})? {
         Message::Described(description) => Ok(description),
         _ => bail!("the worker process did not describe {}", source.display(); "run again"),
     }
 }
 
 /// Runs a worker to its end. Returns its last message.
-fn work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
-    match (try_to_work(work, interrupt, bar), work.cautiously()) {
+fn work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar, found: OnSurveyed<'_>) -> Result<Message> {
+    match (try_to_work(work, interrupt, bar, found), work.cautiously()) {
         // The crash may be the consequence of an earlier error in the file, after which reading went on. A second, cautious
         // worker stops at the first error, which is then reported.
-        (Err(error), Some(cautious)) if error.is::<WorkerCrashed>() => try_to_work(&cautious, interrupt, bar),
+        (Err(error), Some(cautious)) if error.is::<WorkerCrashed>() => try_to_work(&cautious, interrupt, bar, found),
         (worked, _) => worked,
     }
 }
@@ -362,7 +337,7 @@ fn work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message
 #[remedy(_0.remedy())]
 pub(crate) struct WorkerCrashed(Fault);
 
-fn try_to_work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<Message> {
+fn try_to_work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar, found: OnSurveyed<'_>) -> Result<Message> {
     let (reader, verb) = (work.reader(), work.verb());
     let name = reader.reads();
     let refuse = |why: Fault| why.at(format!("cannot {verb} {}: ", work.source().display()));
@@ -404,7 +379,7 @@ fn try_to_work(work: &Work, interrupt: &Interrupt, bar: &ProgressBar) -> Result<
         .ok()
         .and_then(|text| text.parse().ok())
         .map_or(PATIENCE, Duration::from_secs);
-    let ended = attend(&messages, interrupt, bar, patience);
+    let ended = attend(&messages, interrupt, bar, patience, found);
     bar.finish_and_clear();
     // Closing its standard input makes the worker stop; it is killed if it does not stop in time.
     drop(stdin);
@@ -467,7 +442,13 @@ enum Ended {
 }
 
 /// Shows the worker's progress until its last message, its end, an interrupt or a timeout.
-fn attend(messages: &Receiver<Message>, interrupt: &Interrupt, bar: &ProgressBar, patience: Duration) -> Ended {
+fn attend(
+    messages: &Receiver<Message>,
+    interrupt: &Interrupt,
+    bar: &ProgressBar,
+    patience: Duration,
+    found: OnSurveyed<'_>,
+) -> Ended {
     let mut last_progress = Instant::now();
     loop {
         // Checked in every iteration, because messages may arrive so fast that the receive below never times out.
@@ -478,6 +459,10 @@ fn attend(messages: &Receiver<Message>, interrupt: &Interrupt, bar: &ProgressBar
             Ok(Message::Progress(done, all)) => {
                 bar.set_length(all);
                 bar.set_position(done);
+                last_progress = Instant::now();
+            }
+            Ok(Message::Surveyed(path, surveyed)) => {
+                found(&path, &surveyed);
                 last_progress = Instant::now();
             }
             Ok(message) => return Ended::Message(message),
