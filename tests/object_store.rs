@@ -45,7 +45,10 @@ mod with_object_stores {
 
     impl Site {
         fn new() -> Self {
-            let place = Place::new();
+            Self::of(Place::new())
+        }
+
+        fn of(place: Place) -> Self {
             let address = format!("file://{}/objects", place.path().display());
             Self { place, address }
         }
@@ -231,6 +234,51 @@ mod with_object_stores {
     }
 
     /// The same through S3's protocol. Prints what it costs.
+    /// Names of the parts of the artifacts of a stage in a cache.
+    fn parts_in(cache: &Path, stage: Stage) -> Vec<String> {
+        let artifacts = folders_in(&cache.join(stage.artifact()));
+        let parts = artifacts
+            .iter()
+            .flat_map(|artifact| folders_in(&artifact.join("parts")));
+        parts
+            .map(|part| part.file_name().unwrap().to_string_lossy().into_owned())
+            .collect()
+    }
+
+    #[test]
+    fn a_shard_downloads_only_the_parts_that_it_reads() {
+        let Some(place) = crate::parts::many() else { return };
+        let site = Site::of(place);
+        let folder = site.place.path().join("folder");
+        let in_folder = site
+            .place
+            .command()
+            .args(["index", "good.toml", "--artifacts"])
+            .arg(&folder)
+            .output();
+        Answer::new(&in_folder.unwrap(), site.place.path()).done();
+        for shard in ["2/3", "0/3", "1/3"] {
+            site.run(
+                &format!("ingest-{}", &shard[..1]),
+                &format!("ingest good.toml --shard {shard}"),
+            )
+            .done();
+        }
+        // What is missing is found without a download.
+        site.run("planner", "plan good.toml --shards 3 --missing --json").done();
+        assert_eq!(parts_in(&site.cache("planner"), Stage::Ingest), Vec::<String>::new());
+        site.run("merger", "merge ingest good.toml").done();
+        site.run("two", "segment good.toml --shard 1/3").done();
+        let own = parts_in(&site.cache("two"), Stage::Ingest);
+        assert!(own.contains(&"000001".to_owned()), "{own:?}");
+        assert!(own.iter().all(|part| part == "000001" || part == "dataset"), "{own:?}");
+        assert_eq!(parts_in(&site.cache("two"), Stage::Segment), ["000001"]);
+        // Another machine makes the rest, and reads all.
+        site.run("rest", "index good.toml").done();
+        assert_same_bytes(&site.objects(), &artifact_bytes(&folder));
+        assert_same_bytes(&artifact_bytes(&site.cache("rest")), &artifact_bytes(&folder));
+    }
+
     #[test]
     fn a_run_with_its_artifacts_in_s3() {
         let Some(moto) = crate::support::moto::Moto::start() else {

@@ -21,7 +21,7 @@ use serde_json::Value;
 const DEMOS: usize = 600;
 
 /// A folder with many demonstrations and a pipeline file on each dataset; `None` without Python.
-fn many() -> Option<Place> {
+pub(crate) fn many() -> Option<Place> {
     let Some(python) = std::env::var_os("RE4_PYTHON") else {
         println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
         return None;

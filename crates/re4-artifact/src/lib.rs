@@ -58,6 +58,7 @@ mod spec;
 mod store;
 mod table;
 mod text;
+mod transfer;
 mod verify;
 mod writer;
 
@@ -75,9 +76,7 @@ pub use manifest::{
 };
 pub use parts::{Part, Shard};
 pub use reader::Artifact;
-pub use remote::{
-    Listed, Put, Remote, RemoteError, attach, attached, fetch, fetch_all, fetch_folder, pull_folder, push_folder,
-};
+pub use remote::{Listed, Put, Remote, RemoteError, attach, attached, fetch, fetch_all, fetch_folder};
 pub use rows::{
     ByEpisode, Cell, ColumnSource, Label, Place, QUATERNION_PARTS, Row, RowWriter, RowsOf, SixAxis, Word, either,
     trimmed,
@@ -86,5 +85,6 @@ pub use spec::{ColumnKind, ColumnSpec, TableSpec, json_description};
 pub use store::Store;
 pub use table::{Batches, Table};
 pub use text::cell_text;
+pub use transfer::{pull_folder, push_folder};
 pub use verify::{Described, VerifiedFile, VerifyReport, verify};
 pub use writer::{ArtifactSummary, DEFAULT_ROW_GROUP_ROWS, TableWriter, Writer};

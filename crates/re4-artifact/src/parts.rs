@@ -118,6 +118,23 @@ impl Store {
         Ok(found)
     }
 
+    /// Those of the numbered parts of the artifact of this recipe that have not been published. If the store is the cache of an object
+    /// store, parts are uploaded if that lacks them, but not downloaded.
+    ///
+    /// # Errors
+    /// As [`Store::part`], for parts that are in the folder of the store.
+    pub fn missing_parts(&self, recipe: &Recipe, numbers: Range<u32>) -> Result<Vec<u32>, ArtifactError> {
+        let mut missing = Vec::new();
+        for number in numbers {
+            match self.part_here(recipe, Part::Numbered(number))? {
+                Some(part) => self.push(part.path(), PART_MANIFEST_NAME)?,
+                None => missing.push(number),
+            }
+        }
+        let folder = |number| self.part_folder(recipe, Part::Numbered(number));
+        self.not_remote(missing, folder, PART_MANIFEST_NAME)
+    }
+
     /// [`Store::part`] in the folder of the store alone.
     pub(crate) fn part_here(&self, recipe: &Recipe, part: Part) -> Result<Option<Artifact>, ArtifactError> {
         let folder = self.part_folder(recipe, part);

@@ -9,6 +9,7 @@ use crate::disk::hash_file;
 use crate::error::{ArtifactError, Damage};
 use crate::key::Key;
 use crate::manifest::{MANIFEST_NAME, Manifest, PARTS, TableFile, TableSummary};
+use crate::remote::fetch_part_of;
 use crate::spec::TableSpec;
 use crate::table::Table;
 
@@ -153,6 +154,9 @@ impl Artifact {
 
     fn verify_file(&self, file: &str, bytes: u64, blake3: &Key) -> Result<(), ArtifactError> {
         let path = self.path.join(file);
+        if !path.exists() {
+            fetch_part_of(&self.path, file)?;
+        }
         let file = file.to_owned();
         let found = match fs::metadata(&path) {
             Ok(metadata) if metadata.is_file() => metadata.len(),

@@ -107,14 +107,21 @@ impl Store {
     }
 
     /// Returns the artifact with this stage and key if it has been published, after verifying every byte of it. If the store is the
-    /// cache of an object store, it is downloaded or uploaded if one of them lacks it.
+    /// cache of an object store, it is downloaded or uploaded if one of them lacks it. In a store that is [verified by
+    /// part](Self::verifying_by_part), parts are downloaded when they are verified.
     ///
     /// # Errors
     /// [`ArtifactError::Damaged`] if a file differs from what was published; a damaged artifact is never rebuilt silently.
     /// [`ArtifactError::NewerManifest`] if a newer build wrote the artifact, [`ArtifactError::OtherKey`] if the folder belongs to
     /// another key.
     pub fn lookup(&self, stage: Stage, key: &Key) -> Result<Option<Artifact>, ArtifactError> {
-        self.pull(&self.folder(stage, key), MANIFEST_NAME)?;
+        let folder = self.folder(stage, key);
+        if self.by_part
+            && let Some(artifact) = self.remote_parts(&folder)?
+        {
+            return expected(artifact, key).map(Some);
+        }
+        self.pull(&folder, MANIFEST_NAME)?;
         let found = self.lookup_here(stage, key)?;
         if let Some(artifact) = &found {
             self.push(artifact.path(), MANIFEST_NAME)?;
@@ -131,14 +138,7 @@ impl Store {
             // Parts have been published, but the manifest of the artifact has not.
             Ok(_) if !folder.join(MANIFEST_NAME).exists() && folder.join(PARTS).is_dir() => Ok(None),
             Ok(_) => {
-                let artifact = Artifact::open(&folder)?;
-                if artifact.key() != key {
-                    return Err(ArtifactError::OtherKey {
-                        folder,
-                        expected: key.to_string(),
-                        found: artifact.key().to_string(),
-                    });
-                }
+                let artifact = expected(Artifact::open(&folder)?, key)?;
                 // A process that makes some parts verifies those that it reads.
                 if !(self.by_part && artifact.in_parts()) {
                     self.verify(&artifact)?;
@@ -245,6 +245,18 @@ impl Store {
         self.remove_if_empty();
         Ok(())
     }
+}
+
+/// An artifact if it has this key.
+fn expected(artifact: Artifact, key: &Key) -> Result<Artifact, ArtifactError> {
+    if artifact.key() == key {
+        return Ok(artifact);
+    }
+    Err(ArtifactError::OtherKey {
+        folder: artifact.path().to_path_buf(),
+        expected: key.to_string(),
+        found: artifact.key().to_string(),
+    })
 }
 
 /// The record of the run that made an artifact.

@@ -409,6 +409,49 @@ fn machines_make_parts_of_an_artifact_and_another_merges_them() {
 }
 
 #[test]
+fn a_process_that_makes_some_parts_downloads_what_it_reads() {
+    let remote = Memory::new();
+    let maker = Machine::new(&remote);
+    (0..3).for_each(|number| publish_part(&maker.store, number));
+    let expected = files(merge(&maker.store).path());
+    let reader = Machine::new(&remote);
+    let store = reader.store.clone().verifying_by_part();
+    let here = || files(reader.cache.path()).into_keys().collect::<Vec<_>>();
+    let key = recipe(1).key();
+
+    assert_eq!(store.missing_parts(&recipe(1), 0..5).unwrap(), [3, 4]);
+    let artifact = store.lookup(Stage::Segment, &key).unwrap().unwrap();
+    assert_eq!(artifact.parts(), 3);
+    assert_eq!(here(), Vec::<String>::new());
+    let part = artifact.part(1).unwrap();
+    assert_eq!(
+        part.table(&common::EVERY_KIND).unwrap().read_all().unwrap().num_rows(),
+        64
+    );
+    let table = |number: u32| name(&format!("parts/{number:06}/every_kind.parquet"));
+    let marker = |number: u32| name(&format!("parts/{number:06}/part.json"));
+    assert_eq!(here(), [table(1), marker(1)]);
+    // A damaged or missing part is named when it is read.
+    remote.change(&table(2), |bytes| bytes[7] ^= 1);
+    let error = artifact.part(2).unwrap_err().to_string();
+    assert!(
+        error.contains("parts/000002") && error.contains("every_kind.parquet"),
+        "{error}"
+    );
+    remote.change(&table(2), |bytes| bytes[7] ^= 1);
+    let lost = remote.remove(&marker(2));
+    let error = artifact.part(2).unwrap_err().to_string();
+    assert!(error.contains("parts/000002/every_kind.parquet is missing"), "{error}");
+    remote.objects.lock().unwrap().insert(marker(2), lost);
+    // All of it is read.
+    artifact.verify_bytes().unwrap();
+    assert_eq!(here().len(), 6);
+    // A process that reads all of it completes the cache with the manifest.
+    let whole = reader.lookup().unwrap().unwrap();
+    assert_eq!(files(whole.path()), expected);
+}
+
+#[test]
 fn large_and_empty_files_are_transferred() {
     let remote = Memory::new();
     let place = tempfile::tempdir().unwrap();

@@ -104,10 +104,11 @@ pub struct Others {
 }
 
 impl Others {
-    /// `reference` are the chunks at the places of [`reference`](crate::reference), `paths` those of all demonstrations, by number.
-    /// `None` if a row has more or fewer positions than a path.
-    pub fn new(reference: &[Chunk], paths: impl IntoIterator<Item = PathRow>) -> Option<Self> {
-        let (mut described, mut all) = (Vec::new(), Vec::new());
+    /// `reference` are the chunks at the places of [`reference`](crate::reference), `paths` those of all demonstrations, by number, of
+    /// which there are `count`. `None` if a row has more or fewer positions than a path.
+    pub fn new(reference: &[Chunk], count: usize, paths: impl IntoIterator<Item = PathRow>) -> Option<Self> {
+        // Growing vectors would take up to three times the memory.
+        let (mut described, mut all) = (Vec::with_capacity(count), Vec::with_capacity(count));
         for row in paths {
             described.push(row.episode);
             all.push(Descriptor::of_coordinates(&row.knots)?);

@@ -282,9 +282,10 @@ impl Parting<'_> {
             _ => 0..self.parts,
         };
         let mut made = 0;
-        for number in own.clone() {
+        for number in self.store.missing_parts(self.recipe, own.clone())? {
             self.interrupt.check(stage.as_str())?;
-            if self.store.part(self.recipe, Part::Numbered(number))?.is_none()
+            // Another process may have made it in the meantime.
+            if self.store.missing_parts(self.recipe, number..number + 1)? == [number]
                 && let Some((writer, summary)) = make(number)?
             {
                 self.interrupt.check(stage.as_str())?;
@@ -321,15 +322,11 @@ impl Parting<'_> {
 
     /// All parts.
     fn published(&self, folder: &Path) -> Result<Vec<Artifact>> {
-        let (mut numbered, mut missing) = (Vec::new(), Vec::new());
-        for number in 0..self.parts {
-            match self.store.part(self.recipe, Part::Numbered(number))? {
-                Some(part) => numbered.push(part),
-                None => missing.push(number),
-            }
-        }
+        // All are looked for before the first one is downloaded from an object store.
+        let missing = self.store.missing_parts(self.recipe, 0..self.parts)?;
+        let part = |number| self.store.part(self.recipe, Part::Numbered(number)).transpose();
         if missing.is_empty() {
-            return Ok(numbered);
+            return Ok((0..self.parts).filter_map(part).collect::<Result<_, _>>()?);
         }
         Err(Partly::Missing {
             stage: self.recipe.stage().to_string(),

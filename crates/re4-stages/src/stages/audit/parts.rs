@@ -41,9 +41,10 @@ impl Known {
         let reference = reference.or_fault(|| unusable(observations))?;
         observations.verify_table(PathRow::table())?;
         let mut failed = None;
-        let paths = observations.table(PathRow::table())?.stream()?;
-        let paths = paths.map_while(|row| row.map_err(|error| failed = Some(error)).ok());
-        let others = Others::new(&reference, paths);
+        let table = observations.table(PathRow::table())?;
+        let (count, rows) = (table.rows() as usize, table.stream()?);
+        let paths = rows.map_while(|row| row.map_err(|error| failed = Some(error)).ok());
+        let others = Others::new(&reference, count, paths);
         if let Some(error) = failed {
             return Err(error.into());
         }
