@@ -332,6 +332,13 @@ fn a_plan_lists_the_tasks_and_what_is_missing() {
         status.contains("rollout          0/3  waiting for earlier stages"),
         "{status}"
     );
+    // Looking does not merge, also if nothing else is missing.
+    succeeds(&place, "artifacts", &["index", "many.toml", "--shard", "0/2"]);
+    for _ in 0..2 {
+        let status = succeeds(&place, "artifacts", &["status", "plan.json"]);
+        assert!(status.contains("index            3/3  all parts made, not merged"), "{status}");
+    }
+    assert_eq!(ids(&plan(&["--missing"]))[0], ("index.merge".to_owned(), 1));
 }
 
 #[test]

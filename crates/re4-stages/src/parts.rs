@@ -29,43 +29,46 @@ pub enum Share {
     Parts(Stage, Shard),
     /// Only the manifest of this stage's artifact, from parts that exist.
     Merge(Stage),
+    /// Nothing of this stage's artifact. It is only found out what exists of it.
+    Look(Stage),
     /// Only manifests, of the artifacts of all stages, from parts that exist.
     Existing,
 }
 
-/// The text of a [`Share`] for the worker process.
+/// A [`Share`] for the worker process.
 #[derive(Serialize, Deserialize)]
-struct ShareText {
-    stage: Option<String>,
-    shard: Option<String>,
-    #[serde(default)]
-    existing: bool,
+#[serde(rename_all = "snake_case")]
+enum ShareText {
+    Whole,
+    Parts(String, String),
+    Merge(String),
+    Look(String),
+    Existing,
 }
 
 impl Serialize for Share {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let (stage, shard) = match self {
-            Self::Whole | Self::Existing => (None, None),
-            Self::Parts(stage, shard) => (Some(stage.to_string()), Some(shard.to_string())),
-            Self::Merge(stage) => (Some(stage.to_string()), None),
+        let text = match self {
+            Self::Whole => ShareText::Whole,
+            Self::Parts(stage, shard) => ShareText::Parts(stage.to_string(), shard.to_string()),
+            Self::Merge(stage) => ShareText::Merge(stage.to_string()),
+            Self::Look(stage) => ShareText::Look(stage.to_string()),
+            Self::Existing => ShareText::Existing,
         };
-        let existing = *self == Self::Existing;
-        ShareText { stage, shard, existing }.serialize(serializer)
+        text.serialize(serializer)
     }
 }
 
 impl<'de> Deserialize<'de> for Share {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error as _;
-        let ShareText { stage, shard, existing } = ShareText::deserialize(deserializer)?;
-        if existing {
-            return Ok(Self::Existing);
-        }
-        let Some(stage) = stage else { return Ok(Self::Whole) };
-        let stage = Stage::from_name(&stage).ok_or_else(|| D::Error::custom("unknown stage"))?;
-        Ok(match shard {
-            Some(shard) => Self::Parts(stage, shard.parse().map_err(D::Error::custom)?),
-            None => Self::Merge(stage),
+        let stage = |name: &str| Stage::from_name(name).ok_or_else(|| D::Error::custom("unknown stage"));
+        Ok(match ShareText::deserialize(deserializer)? {
+            ShareText::Whole => Self::Whole,
+            ShareText::Parts(name, shard) => Self::Parts(stage(&name)?, shard.parse().map_err(D::Error::custom)?),
+            ShareText::Merge(name) => Self::Merge(stage(&name)?),
+            ShareText::Look(name) => Self::Look(stage(&name)?),
+            ShareText::Existing => Self::Existing,
         })
     }
 }
@@ -90,7 +93,7 @@ pub enum Partly {
         /// Number of parts that this process made. The others existed.
         made: u32,
     },
-    /// Parts are missing.
+    /// Parts are missing, or none is but the artifact was not to be merged.
     #[error("cannot merge {}: {} of its {parts} parts are missing: {}", artifact.display(), missing.len(), ranges(missing))]
     Missing {
         /// Name of the stage.
@@ -191,8 +194,8 @@ pub(crate) fn ranges(numbers: &[u32]) -> String {
 
 impl Share {
     /// Whether no part of the artifact of a stage is made.
-    fn only_merges(self, stage: Stage) -> bool {
-        self == Self::Existing || self == Self::Merge(stage)
+    pub(crate) fn makes_none(self, stage: Stage) -> bool {
+        self == Self::Existing || self == Self::Merge(stage) || self == Self::Look(stage)
     }
 
     /// Whether a process with this shard builds the artifact of `stage` if it has only one part. If not, the error says so.
@@ -209,7 +212,7 @@ impl Share {
                 made: 0,
             }
             .into()),
-            share if share.only_merges(stage) => Err(Partly::Missing {
+            share if share.makes_none(stage) => Err(Partly::Missing {
                 stage: stage.to_string(),
                 artifact: artifact(),
                 parts: 1,
@@ -278,7 +281,7 @@ impl Parting<'_> {
         let folder = self.store.folder(stage, &self.recipe.key());
         let own = match self.share {
             Share::Parts(of, shard) if of == stage => shard.parts(self.parts),
-            share if share.only_merges(stage) => 0..0,
+            share if share.makes_none(stage) => 0..0,
             _ => 0..self.parts,
         };
         let mut made = 0;
@@ -325,7 +328,7 @@ impl Parting<'_> {
         // All are looked for before the first one is downloaded from an object store.
         let missing = self.store.missing_parts(self.recipe, 0..self.parts)?;
         let part = |number| self.store.part(self.recipe, Part::Numbered(number)).transpose();
-        if missing.is_empty() {
+        if missing.is_empty() && self.share != Share::Look(self.recipe.stage()) {
             return Ok((0..self.parts).filter_map(part).collect::<Result<_, _>>()?);
         }
         Err(Partly::Missing {
@@ -376,6 +379,7 @@ mod tests {
             Share::Whole,
             Share::Parts(Stage::Ingest, "3/8".parse().unwrap()),
             Share::Merge(Stage::Segment),
+            Share::Look(Stage::Index),
             Share::Existing,
         ];
         for share in shares {

@@ -177,7 +177,7 @@ impl Runner {
     /// The artifact of a stage whose inputs exist; if it is not complete, its folder, the number of its parts and the missing ones.
     fn looking(&self, stage: Stage) -> Result<Result<Built, Incomplete>> {
         let start = Instant::now();
-        let found = self.sharing(Share::Merge(stage)).artifact_of(stage);
+        let found = self.sharing(Share::Look(stage)).artifact_of(stage);
         tracing::debug!(stage = stage.as_str(), wall = ?start.elapsed(), "looked for the artifact");
         match found {
             Ok(built) => Ok(Ok(built)),

@@ -143,7 +143,7 @@ fn needed(share: Share, demos: usize) -> Range<usize> {
             let own = shard.parts(parts);
             own.start as usize * DEMOS_IN_PART..demos.min(own.end as usize * DEMOS_IN_PART)
         }
-        Share::Merge(Stage::Ingest) if parts > 1 => 0..0,
+        share if share.makes_none(Stage::Ingest) && parts > 1 => 0..0,
         _ => 0..demos,
     }
 }
