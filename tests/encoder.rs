@@ -326,6 +326,14 @@ fn the_page_of_a_training_shows_errors_and_images() {
         .run(&format!("report {folder} --images 2 --output no.html"))
         .refused();
     assert!(refused.contains("it has a poses artifact, not rollouts"), "{refused}");
+    let [kept, away] = ["artifacts/encoder", "away"].map(|folder| place.path().join(folder));
+    std::fs::rename(&kept, &away).unwrap();
+    let refused = place.run(&format!("report {folder} --output no.html")).refused();
+    assert!(
+        refused.contains("its encoder artifact is neither beside it nor in artifacts"),
+        "{refused}"
+    );
+    std::fs::rename(&away, &kept).unwrap();
     // Without the episodes there are no images, which is said.
     std::fs::rename(place.path().join("artifacts/episodes"), place.path().join("elsewhere")).unwrap();
     let answer = place.run(&format!("report {folder} --output bare.html"));

@@ -28,7 +28,7 @@ const QUANTILES: [f64; 2] = [0.5, 0.9];
 /// A transferred grasp whose rotation error exceeds this, in rad, grasps the opposite side of the object.
 const OTHER_SIDE: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Maximum number of demonstrations that are evaluated together, about: some 200 bytes per frame.
+/// Maximum number of demonstrations that are evaluated together, about. They take some 300 bytes per frame.
 const EVALUATED: usize = 2048;
 
 /// Opens the estimates of all demonstrations, in their order. Each item has the poses of a demonstration, by frame, world frame.
