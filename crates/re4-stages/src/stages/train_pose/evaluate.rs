@@ -34,6 +34,9 @@ const EVALUATED: usize = 2048;
 /// Opens the estimates of all demonstrations, in their order. Each item has the poses of a demonstration, by frame, world frame.
 pub(super) type Poses<'a> = dyn Fn() -> Box<dyn Iterator<Item = Result<Vec<Isometry3<f64>>>> + 'a> + 'a;
 
+/// What is done with a demonstration and its estimates.
+type Visit<'a> = dyn FnMut(&SpatialDemo, Vec<Isometry3<f64>>) -> Result<()> + 'a;
+
 /// The demonstrations of which poses were estimated.
 pub(super) struct Demos<'a> {
     pub(super) episodes: &'a Artifact,
@@ -43,11 +46,7 @@ pub(super) struct Demos<'a> {
 
 impl Demos<'_> {
     /// Calls `visit` with each demonstration and its estimates.
-    fn each(
-        &self,
-        poses: &Poses<'_>,
-        visit: &mut dyn FnMut(&SpatialDemo, Vec<Isometry3<f64>>) -> Result<()>,
-    ) -> Result<()> {
+    fn each(&self, poses: &Poses<'_>, visit: &mut Visit<'_>) -> Result<()> {
         let mut estimates = poses();
         for demo in SegmentedEpisodes::open(self.episodes, self.modes)? {
             let demo = demo?;
