@@ -166,6 +166,7 @@ fn commands_that_need_an_object_say_so() {
     let place = Place::empty();
     for command in [
         "index",
+        "train-encoder",
         "train-pose",
         "train",
         "scenes",

@@ -6,11 +6,12 @@ use re4_policy::kinds::{Kinds as _, PlanePolicy};
 use re4_stages::Task;
 
 /// The subcommands that `--help` lists.
-pub(crate) const COMMANDS: [&str; 26] = [
+pub(crate) const COMMANDS: [&str; 27] = [
     "ingest",
     "segment",
     "observe",
     "audit",
+    "train-encoder",
     "train-pose",
     "index",
     "train",
@@ -291,7 +292,16 @@ fn errors_of_the_pipeline_file() {
 fn every_stage_command_checks_the_pipeline_file() {
     let place = Place::empty();
     place.write("bad.toml", "tusk = \"pusht\"\n");
-    for command in ["ingest", "segment", "train-pose", "index", "rollout", "run", "replay"] {
+    for command in [
+        "ingest",
+        "segment",
+        "train-encoder",
+        "train-pose",
+        "index",
+        "rollout",
+        "run",
+        "replay",
+    ] {
         let sentence = place.run(&format!("{command} bad.toml")).refused_at_once();
         assert!(
             sentence.contains("unknown key tusk (did you mean task?)"),

@@ -1,4 +1,4 @@
-//! The pose encoder, from demonstrations with images to the `poses` artifact. These tests run real trainings on the five recorded
+//! The pose encoder, from demonstrations with images to the artifacts `encoder` and `poses`. These tests run real trainings on the five recorded
 //! demonstrations of Lift. They need the datasets in the folder that `RE4_DATA` names, or in ../shared/data.
 
 use std::fmt::Write as _;
@@ -78,10 +78,17 @@ fn check_artifact(settings: &str, expected: &[&str], fraction: f64) {
         &artifact_bytes(&place.path().join("one")),
         &artifact_bytes(&place.path().join("two")),
     );
-    let poses = only(&place, "one", Stage::TrainPose);
-    re4_artifact::verify(poses.path(), &re4_stages::tables::described).unwrap();
-    let files: Vec<&str> = poses.manifest().files.keys().map(String::as_str).collect();
+    let (encoder, poses) = (
+        only(&place, "one", Stage::TrainEncoder),
+        only(&place, "one", Stage::TrainPose),
+    );
+    for artifact in [&encoder, &poses] {
+        re4_artifact::verify(artifact.path(), &re4_stages::tables::described).unwrap();
+    }
+    let files: Vec<&str> = encoder.manifest().files.keys().map(String::as_str).collect();
     assert_eq!(files, expected);
+    assert!(poses.manifest().files.is_empty());
+    assert_eq!(poses.manifest().inputs["encoder"], *encoder.key());
     let frames = only(&place, "one", Stage::Ingest)
         .table(FrameRow::<SpatialColumns>::table())
         .unwrap()
@@ -90,12 +97,18 @@ fn check_artifact(settings: &str, expected: &[&str], fraction: f64) {
         .table(re4_pose::PoseRow::<re4_pose::SpatialEstimate>::table())
         .unwrap();
     assert_eq!(table.rows(), frames);
-    let course = poses.table(re4_pose::TrainingRow::table()).unwrap().read_all().unwrap();
+    let course = encoder
+        .table(re4_pose::TrainingRow::table())
+        .unwrap()
+        .read_all()
+        .unwrap();
     let losses = col_f64(&course, "loss").unwrap();
     assert_eq!(col_u32(&course, "steps").unwrap(), [12, 24, 36]);
     assert!(losses[2] < fraction * losses[0], "{losses:?}");
     // One demonstration in five is held out and marked.
-    assert_eq!(poses.manifest().summary["trained_on"], 4);
+    for artifact in [&encoder, &poses] {
+        assert_eq!(artifact.manifest().summary["trained_on"], 4);
+    }
     // The checkpoints are removed.
     assert!(!place.path().join("one/checkpoints").exists());
     // A second run skips all stages.
@@ -166,24 +179,21 @@ fn check_independence(settings: &str) {
         disturbed,
     );
     train(&place, "--artifacts false").done();
-    let (real, fake) = (
-        only(&place, "true", Stage::TrainPose),
-        only(&place, "false", Stage::TrainPose),
-    );
-    let bytes = |artifact: &Artifact, file: &str| std::fs::read(artifact.path().join(file)).unwrap();
-    for file in [
-        "encoder.safetensors",
-        "poses.parquet",
-        "training.parquet",
-        "training.svg",
+    let same = |stage: Stage, file: &str| {
+        let [real, fake] = ["true", "false"].map(|artifacts| only(&place, artifacts, stage));
+        let bytes = |artifact: &Artifact| std::fs::read(artifact.path().join(file)).unwrap();
+        bytes(&real) == bytes(&fake)
+    };
+    for (stage, file) in [
+        (Stage::TrainEncoder, "encoder.safetensors"),
+        (Stage::TrainEncoder, "training.parquet"),
+        (Stage::TrainEncoder, "training.svg"),
+        (Stage::TrainPose, "poses.parquet"),
     ] {
-        assert!(
-            bytes(&real, file) == bytes(&fake, file),
-            "{file} depends on recorded object poses"
-        );
+        assert!(same(stage, file), "{file} depends on recorded object poses");
     }
     // The evaluation reads the recorded poses and differs, so the recorded poses really were changed.
-    assert!(bytes(&real, "pose_errors.parquet") != bytes(&fake, "pose_errors.parquet"));
+    assert!(!same(Stage::TrainPose, "pose_errors.parquet"));
 }
 
 /// The rows of table `images` with other images. `edit` changes the image of a demonstration.
@@ -213,15 +223,12 @@ fn with_images(table: &str, batch: RecordBatch, edit: impl Fn(u32, &mut RgbImage
     columns.finish().unwrap()
 }
 
-/// Code of every warning of the training, with the demonstration that it names.
+/// Code of every warning of the training and of the estimates, with the demonstration that it names.
 fn warnings(place: &Place, artifacts: &str) -> Vec<(String, Option<String>)> {
-    let poses = only(place, artifacts, Stage::TrainPose);
     let text = |warning: &serde_json::Value, name: &str| warning[name].as_str().map(str::to_owned);
-    poses
-        .manifest()
-        .warnings
-        .iter()
-        .map(|warning| (text(warning, "code").unwrap(), text(warning, "demo_name")))
+    let of = |stage| only(place, artifacts, stage).manifest().warnings.clone();
+    let all = [Stage::TrainEncoder, Stage::TrainPose].into_iter().flat_map(of);
+    all.map(|warning| (text(&warning, "code").unwrap(), text(&warning, "demo_name")))
         .collect()
 }
 
@@ -319,6 +326,14 @@ fn the_page_of_a_training_shows_errors_and_images() {
         .run(&format!("report {folder} --images 2 --output no.html"))
         .refused();
     assert!(refused.contains("it has a poses artifact, not rollouts"), "{refused}");
+    let [kept, away] = ["artifacts/encoder", "away"].map(|folder| place.path().join(folder));
+    std::fs::rename(&kept, &away).unwrap();
+    let refused = place.run(&format!("report {folder} --output no.html")).refused();
+    assert!(
+        refused.contains("its encoder artifact is neither beside it nor in artifacts"),
+        "{refused}"
+    );
+    std::fs::rename(&away, &kept).unwrap();
     // Without the episodes there are no images, which is said.
     std::fs::rename(place.path().join("artifacts/episodes"), place.path().join("elsewhere")).unwrap();
     let answer = place.run(&format!("report {folder} --output bare.html"));
@@ -370,5 +385,7 @@ fn unusable_settings_and_data() {
     }
     with_settings!({ filters => filters() }, { assert_snapshot!(errors) });
     // No artifact is left, also by the training that diverged in its first epoch.
-    assert!(crate::support::folders_in(&place.path().join("artifacts/poses")).is_empty());
+    for kind in ["encoder", "poses"] {
+        assert!(crate::support::folders_in(&place.path().join("artifacts").join(kind)).is_empty());
+    }
 }

@@ -1,6 +1,7 @@
 //! Pipelines in parts: the same bytes for any number of processes in any order, and nothing is published before it is complete.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,21 +12,29 @@ use re4_audit::{
     AuditConfig, Basis, CHECKS, CheckRow, FindingRow, FingerUnit, GraspLimits, Observation, SpatialDemo, Thresholds,
     audit_copies, audit_spatial, observe_spatial,
 };
-use re4_episode::SpatialEpisode;
+use re4_episode::{Mode, SpatialEpisode};
 use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
+use re4_pose::spatial::{Demonstration, GraspPhase, evaluate};
+use re4_pose::{PoseErrorRow, PoseRow, SpatialEstimate};
 use re4_scores::{Motion, ScoreRow, Sketch};
-use re4_segment::{GripperConfig, SegmentConfig, segment_spatial};
+use re4_segment::{GripperConfig, ModeRow, SegmentConfig, SpatialEvidence, segment_spatial};
 use serde_json::Value;
 
 /// Three parts of 256 demonstrations, the last one short.
 const DEMOS: usize = 600;
 
+/// The Python interpreter with h5py, if it is named.
+fn python() -> Option<OsString> {
+    let python = std::env::var_os("RE4_PYTHON");
+    if python.is_none() {
+        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
+    }
+    python
+}
+
 /// A folder with many demonstrations and a pipeline file on each dataset; `None` without Python.
 pub(crate) fn many() -> Option<Place> {
-    let Some(python) = std::env::var_os("RE4_PYTHON") else {
-        println!("skipped: RE4_PYTHON is not set; run scripts/setup-python.sh and set it to target/python/bin/python");
-        return None;
-    };
+    let python = python()?;
     let place = Place::empty();
     let status = Command::new(python)
         .arg(repository().join("tests/make_many.py"))
@@ -42,6 +51,27 @@ pub(crate) fn many() -> Option<Place> {
         );
         place.write(&format!("{name}.toml"), text);
     }
+    Some(place)
+}
+
+/// A folder with many demonstrations with images and a pipeline file with an encoder; `None` without Python or the scripted demonstrations.
+fn many_images() -> Option<Place> {
+    let data = crate::support::scripted()?;
+    let python = python()?;
+    let place = Place::empty();
+    let status = Command::new(python)
+        .arg(repository().join("tests/make_many_images.py"))
+        .args([data.join("lift/image_5.hdf5"), place.path().join("many.hdf5")])
+        .arg(DEMOS.to_string())
+        .status()
+        .unwrap();
+    assert!(status.success());
+    place.write(
+        "many.toml",
+        "task = \"lift\"\nvariant = \"image\"\n[ingest]\nsource = \"many.hdf5\"\n[segment]\n[pose]\nsource = \"encoder\"\n\
+         [pose.encoder]\npreset = \"re4\"\nepochs = 1\nsteps = 2\nbatch = 32\nheld_out = 0.2\ncrops = 2\n[index]\n\
+         [policy]\nkind = \"re4\"\n[rollout]\nseeds = \"0..300\"\n",
+    );
     Some(place)
 }
 
@@ -198,6 +228,130 @@ fn audit_is_that_of_all_demonstrations_together(place: &Place) {
     let sketches: Vec<Sketch> = demos.iter().map(sketch).collect();
     assert_eq!(audit.read::<ScoreRow>().unwrap(), re4_scores::score(&sketches));
     assert_eq!(audit.manifest().summary["episodes"], DEMOS);
+}
+
+#[test]
+fn estimates_in_parts_are_those_of_one_process() {
+    let Some(place) = many_images() else { return };
+    let plan = |more: &[&str]| -> Vec<(String, u64, Value)> {
+        let arguments = [&["plan", "many.toml", "--shards", "2", "--json"], more].concat();
+        let plan: Value = serde_json::from_str(&succeeds(&place, "parts", &arguments)).unwrap();
+        let group = |group: &Value| {
+            (
+                group["id"].as_str().unwrap().to_owned(),
+                group["count"].as_u64().unwrap(),
+                group["indices"].clone(),
+            )
+        };
+        plan["groups"].as_array().unwrap().iter().map(group).collect()
+    };
+    let all = |id: &str, count| (id.to_owned(), count, Value::Null);
+    let later = [
+        all("index", 2),
+        all("index.merge", 1),
+        all("rollout", 2),
+        all("rollout.merge", 1),
+    ];
+    let estimated = [all("train-pose", 2), all("train-pose.merge", 1)];
+    assert_eq!(
+        plan(&[])[4..],
+        [&[all("train-encoder", 1)], &estimated[..], &later].concat()
+    );
+    // The command makes the encoder and the poses.
+    succeeds(&place, "one", &["train-pose", "many.toml", "--jobs", "2"]);
+    succeeds(&place, "one", &["index", "many.toml"]);
+    // A shard does not make the encoder again.
+    succeeds(&place, "parts", &["train-encoder", "many.toml", "--jobs", "1"]);
+    for stage in ["train-pose", "index"] {
+        for shard in ["0/7", "6/7", "4/7", "4/7"] {
+            succeeds(&place, "parts", &[stage, "many.toml", "--shard", shard]);
+        }
+        let (code, text) = run(&place, "parts", &["merge", stage, "many.toml"]);
+        assert_eq!(code, 3, "{text}");
+        assert!(text.contains("1 of its 3 parts are missing: 0;"), "{text}");
+        if stage == "train-pose" {
+            let missing = [
+                ("train-pose".to_owned(), 2, serde_json::json!([0])),
+                all("train-pose.merge", 1),
+            ];
+            assert_eq!(plan(&["--missing"]), [&missing[..], &later].concat());
+        }
+        succeeds(&place, "parts", &[stage, "many.toml", "--shard", "0/2"]);
+        succeeds(&place, "parts", &["merge", stage, "many.toml"]);
+    }
+    assert_same(&place, "one", "parts");
+    succeeds(&place, "one", &["verify"]);
+    estimates_and_errors_are_those_of_all_demonstrations_together(&place);
+}
+
+/// Compares the estimates in parts with their demonstrations, and the errors with those of all demonstrations in memory.
+fn estimates_and_errors_are_those_of_all_demonstrations_together(place: &Place) {
+    let poses = only(place, "one", "poses");
+    assert_eq!((poses.parts(), only(place, "one", "encoder").parts()), (3, 1));
+    let frames = only(place, "one", "episodes")
+        .read::<FrameRow<SpatialColumns>>()
+        .unwrap();
+    let modes = only(place, "one", "modes").read::<ModeRow<SpatialEvidence>>().unwrap();
+    let estimates = poses.read::<PoseRow<SpatialEstimate>>().unwrap();
+    let ids: Vec<_> = frames.iter().map(|row| (row.episode, row.frame)).collect();
+    assert_eq!(
+        estimates.iter().map(|row| (row.episode, row.frame)).collect::<Vec<_>>(),
+        ids
+    );
+    let mut demos: Vec<Demonstration> = Vec::new();
+    for ((frame, mode), row) in frames.iter().zip(&modes).zip(&estimates) {
+        assert_eq!(row.estimate.trained_on, !row.episode.is_multiple_of(5));
+        assert!(row.estimate.confidence.is_some());
+        if demos.len() == row.episode as usize {
+            let held: Vec<bool> = modes
+                .iter()
+                .filter(|mode| mode.episode == row.episode)
+                .map(|mode| mode.mode == Mode::Transfer)
+                .collect();
+            demos.push(Demonstration {
+                trained_on: row.estimate.trained_on,
+                phases: GraspPhase::of(&held),
+                estimated: Vec::new(),
+                recorded: Vec::new(),
+                eef: Vec::new(),
+            });
+        }
+        assert_eq!((mode.episode, mode.frame), (row.episode, row.frame));
+        let demo = demos.last_mut().unwrap();
+        demo.estimated.push(row.estimate.object);
+        demo.recorded.push(frame.recorded.object.unwrap());
+        demo.eef.push(frame.recorded.eef);
+    }
+    let task: re4_stages::Task = serde_json::from_value("lift".into()).unwrap();
+    // The demonstrations after the first five are copies of their frames, whose images give the same estimates.
+    let copied = (5..10).map(|demo| (demos[demo].estimated[0], &demos[demo - 5].estimated));
+    assert!(copied.into_iter().all(|(first, original)| original.contains(&first)));
+    let measured = evaluate(&demos, task.symmetry()).unwrap();
+    let measured = measured.estimates.unwrap();
+    let errors = poses.read::<PoseErrorRow>().unwrap();
+    assert_eq!(
+        errors.iter().map(|row| (row.episode, row.frame)).collect::<Vec<_>>(),
+        ids
+    );
+    let expected: Vec<_> = measured.errors.into_iter().flatten().flatten().collect();
+    let found: Vec<_> = errors.iter().map(|row| row.error).collect();
+    assert_eq!(found, expected);
+    let summary = &poses.manifest().summary;
+    assert_eq!(
+        (&summary["episodes"], &summary["trained_on"]),
+        (&DEMOS.into(), &480.into())
+    );
+    let held_out: Vec<f64> = errors
+        .iter()
+        .filter(|row| !row.trained_on)
+        .map(|row| 1e3 * row.error.translation)
+        .collect();
+    let scores = &summary["evaluation"]["estimates"]["held_out"];
+    assert_eq!(scores["demonstrations"], 120);
+    assert_eq!(
+        scores["overall"]["translation_mm"],
+        re4_stats::spread(held_out, &[0.5, 0.9])
+    );
 }
 
 #[test]

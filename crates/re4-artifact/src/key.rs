@@ -21,7 +21,9 @@ pub enum Stage {
     Observe,
     /// Reads `episodes`, `modes` and, for many demonstrations, `observations`, and produces `audit`, a table of findings.
     Audit,
-    /// Reads `episodes` and `modes` and produces `poses`.
+    /// Reads `episodes` and `modes` and produces `encoder`, the weights of a pose estimator.
+    TrainEncoder,
+    /// Reads `episodes` and, if an encoder estimates poses, `modes` and `encoder`, and produces `poses`.
     TrainPose,
     /// Reads `episodes`, `modes` and, in image variants, `poses`, and produces `index`.
     Index,
@@ -29,7 +31,7 @@ pub enum Stage {
     Train,
     /// Reads `episodes` and produces `scenes`.
     Scenes,
-    /// Reads `index` and, if the pipeline has a table `[scenes]`, `scenes`, and produces `rollouts`.
+    /// Reads `index` and, if the pipeline has them, `encoder` and `scenes`, and produces `rollouts`.
     Rollout,
     /// Replays `episodes` open-loop in the simulator and produces `replays`.
     Replay,
@@ -43,11 +45,12 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Ingest,
         Self::Segment,
         Self::Observe,
         Self::Audit,
+        Self::TrainEncoder,
         Self::TrainPose,
         Self::Index,
         Self::Train,
@@ -66,6 +69,7 @@ impl Stage {
             Self::Segment => "segment",
             Self::Observe => "observe",
             Self::Audit => "audit",
+            Self::TrainEncoder => "train-encoder",
             Self::TrainPose => "train-pose",
             Self::Index => "index",
             Self::Train => "train",
@@ -85,6 +89,7 @@ impl Stage {
             Self::Segment => "modes",
             Self::Observe => "observations",
             Self::Audit => "audit",
+            Self::TrainEncoder => "encoder",
             Self::TrainPose => "poses",
             Self::Index => "index",
             Self::Train => "policy",

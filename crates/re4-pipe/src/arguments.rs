@@ -57,6 +57,8 @@ pub(crate) enum Command {
     Observe(StageArguments),
     /// Check the demonstrations and their modes for errors; writes the `audit` artifact
     Audit(AuditArguments),
+    /// robosuite: train the encoder that estimates poses from images; writes the `encoder` artifact
+    TrainEncoder(StageArguments),
     /// Calibrate or train the pose estimator and estimate poses from images; writes the `poses` artifact
     TrainPose(StageArguments),
     /// Build the index from which the policy retrieves demonstrations; writes the `index` artifact

@@ -44,6 +44,7 @@ fn main() -> ExitCode {
         Command::Segment(arguments) => commands::run::segment(&arguments),
         Command::Observe(arguments) => commands::run::observe(&arguments),
         Command::Audit(arguments) => commands::audit::audit(&arguments),
+        Command::TrainEncoder(arguments) => commands::run::train_encoder(&arguments),
         Command::TrainPose(arguments) => commands::run::train_pose(&arguments),
         Command::Train(arguments) => commands::run::train(&arguments),
         Command::Index(arguments) => commands::run::index(&arguments),

@@ -1,4 +1,4 @@
-//! The tables of a `poses` artifact.
+//! The tables of `poses` and `encoder` artifacts.
 
 use nalgebra::Isometry3;
 use re4_artifact::{Word, columns, table};

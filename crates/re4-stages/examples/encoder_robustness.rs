@@ -1,10 +1,10 @@
 //! Measures how the estimates of a trained encoder change if its images do: noise, brightness, and a camera that moved.
 //!
 //! ```text
-//! encoder_robustness POSES EPISODES
+//! encoder_robustness ENCODER POSES EPISODES
 //! ```
 //!
-//! The arguments are folders of a `poses` artifact and of the `episodes` artifact that it was trained on. Frames before the grasp of
+//! The arguments are folders of an `encoder` artifact, of its `poses` and of the `episodes` that it was trained on. Frames before the grasp of
 //! held-out demonstrations are estimated again with changed images. For each change, one row of Markdown states the distance of
 //! the estimates from those of the unchanged images (median and 90 % quantile, in mm), and the fraction of unsure estimates.
 #![allow(clippy::print_stdout, reason = "this example prints its results")]
@@ -71,14 +71,15 @@ const CHANGES: [(&str, Change); 9] = [
 
 fn main() -> Result<()> {
     let paths: Vec<PathBuf> = std::env::args().skip(1).map(PathBuf::from).collect();
-    let [poses, episodes] = paths.as_slice() else {
-        bail!("usage: encoder_robustness POSES EPISODES");
+    let [encoder, poses, episodes] = paths.as_slice() else {
+        bail!("usage: encoder_robustness ENCODER POSES EPISODES");
     };
-    let (poses, episodes) = (Artifact::open(poses)?, Artifact::open(episodes)?);
+    let [encoder, poses, episodes] = [encoder, poses, episodes].map(|path| Artifact::open(path));
+    let (encoder, poses, episodes) = (encoder?, poses?, episodes?);
     let config: EncoderConfig = serde_json::from_value(poses.manifest().config["pose"]["encoder"].clone())
         .context("the artifact has no encoder")?;
-    let predictor = Predictor::open(&poses.path().join("encoder.safetensors"), &config)?;
-    let calibration: Calibration = serde_json::from_slice(&std::fs::read(poses.path().join("confidence.json"))?)?;
+    let predictor = Predictor::open(&encoder.path().join("encoder.safetensors"), &config)?;
+    let calibration: Calibration = serde_json::from_slice(&std::fs::read(encoder.path().join("confidence.json"))?)?;
     let errors: Vec<PoseErrorRow> = poses.read()?;
     let wanted: BTreeSet<(u32, u32)> = errors
         .iter()

@@ -299,7 +299,7 @@ fn of_pipeline(pipeline: &Pipeline) -> Vec<Finding> {
     if let Some(pose) = pipeline.pose.as_ref().filter(|pose| pose.source == PoseSource::Encoder)
         && let Some(weights) = &pose.encoder().weights
     {
-        found.push(finding("pose.encoder.weights", "train-pose", find_weights(weights)));
+        found.push(finding("pose.encoder.weights", "train-encoder", find_weights(weights)));
     }
     found
 }

@@ -67,7 +67,11 @@ impl Runner {
             stages.extend(audit);
             return Ok(stages);
         }
-        if pipeline.pose()?.source != PoseSource::Recorded {
+        let source = pipeline.pose()?.source;
+        if source == PoseSource::Encoder {
+            stages.push(Stage::TrainEncoder);
+        }
+        if source != PoseSource::Recorded {
             stages.push(Stage::TrainPose);
         } else if pipeline.task.domain() == Domain::Space && !pipeline.index()?.leave_out.is_empty() {
             stages.extend(audit);
@@ -98,6 +102,11 @@ impl Runner {
                 let episodes = self.ingest()?;
                 let modes = self.segment(&episodes)?;
                 self.audit(&episodes, &modes)
+            }
+            Stage::TrainEncoder => {
+                let episodes = self.ingest()?;
+                let modes = self.segment(&episodes)?;
+                self.train_encoder(&episodes, &modes)?.context("no encoder")
             }
             Stage::TrainPose if planar => self.train_pose(&self.ingest()?)?.context("no pose estimator"),
             Stage::TrainPose => {
@@ -198,7 +207,7 @@ impl Runner {
     fn parts_expected(&self, stage: Stage, of_demos: Option<u32>) -> Result<Option<u32>> {
         Ok(match stage {
             Stage::Segment | Stage::Observe => of_demos,
-            Stage::Audit | Stage::Index if !self.pipeline.task.is_planar() => of_demos,
+            Stage::Audit | Stage::TrainPose | Stage::Index if !self.pipeline.task.is_planar() => of_demos,
             Stage::Rollout => self.parts_of_rollouts()?,
             _ => Some(1),
         })

@@ -111,8 +111,8 @@ pub struct Group {
 /// Memory of a task, in MiB. Measured, with room for larger demonstrations; see docs/scale.md.
 pub(crate) fn memory_mb(stage: Stage) -> u32 {
     match stage {
-        Stage::TrainPose | Stage::Train => 6144,
-        Stage::Rollout => 2048,
+        Stage::TrainEncoder | Stage::Train => 6144,
+        Stage::TrainPose | Stage::Rollout => 2048,
         _ => 1024,
     }
 }

@@ -91,12 +91,11 @@ pub fn of(stage: Stage) -> Vec<&'static TableSpec> {
         Stage::Compare => vec![CellRow::table(), DifferenceRow::table(), CurveRow::table()],
         Stage::Influence => vec![InfluenceRow::table(), JudgedEpisodeRow::table(), PairRow::table()],
         Stage::Curate => vec![CuratedRow::table(), RoundRow::table(), JudgedRow::table()],
+        Stage::TrainEncoder => vec![TrainingRow::table(), LabelRow::table()],
         Stage::TrainPose => vec![
             PoseRow::<Estimate>::table(),
             PoseRow::<SpatialEstimate>::table(),
             AnchorRow::table(),
-            TrainingRow::table(),
-            LabelRow::table(),
             PoseErrorRow::table(),
         ],
     }

@@ -150,6 +150,7 @@ impl MockRun<'_> {
             };
             let artifacts = RolloutArtifacts {
                 episodes: &episodes,
+                encoder: None,
                 poses: Some(&poses),
                 scenes: None,
                 inputs: &[index],

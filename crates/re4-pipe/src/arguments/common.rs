@@ -14,6 +14,7 @@ impl Command {
             Self::Ingest(stage)
             | Self::Segment(stage)
             | Self::Observe(stage)
+            | Self::TrainEncoder(stage)
             | Self::TrainPose(stage)
             | Self::Train(TrainArguments { stage, .. })
             | Self::Index(stage)

@@ -60,6 +60,20 @@ pub(crate) fn observe(arguments: &StageArguments) -> Result<Outcome> {
     answer(console, &runner, &built)
 }
 
+/// `re4-pipe train-encoder`. Refuses pipelines without an encoder.
+pub(crate) fn train_encoder(arguments: &StageArguments) -> Result<Outcome> {
+    let console = Console::new(&arguments.common);
+    let runner = arguments.runner_of(Stage::TrainEncoder, &[])?;
+    runner.pipeline.needs_object()?;
+    ensure!(
+        runner.pipeline.pose()?.source == PoseSource::Encoder,
+        "nothing to train: the poses of {} do not come from an encoder", arguments.pipeline.display();
+        "give a pipeline of a robosuite task with variant = \"image\" and pose.source = \"encoder\""
+    );
+    let built = runner.artifact_of(Stage::TrainEncoder)?;
+    answer(console, &runner, &built)
+}
+
 /// `re4-pipe train-pose`. Refuses pipelines that use the recorded poses.
 pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
     let console = Console::new(&arguments.common);
@@ -73,8 +87,21 @@ pub(crate) fn train_pose(arguments: &StageArguments) -> Result<Outcome> {
         "to estimate poses from images, set variant = \"image\" and pose.source = \"{}\"",
         if planar { "log_polar" } else { "encoder" }
     );
-    let built = runner.artifact_of(Stage::TrainPose)?;
-    answer(console, &runner, &built)
+    if planar {
+        let built = runner.artifact_of(Stage::TrainPose)?;
+        return answer(console, &runner, &built);
+    }
+    let episodes = runner.ingest()?;
+    let modes = runner.segment(&episodes)?;
+    let encoder = runner.train_encoder(&episodes, &modes)?.context("no encoder")?;
+    let poses = runner.estimate_poses(&episodes, &modes, Some(&encoder))?;
+    let poses = poses.context("no pose estimator")?;
+    let mut both = poses.to_json();
+    both["encoder"] = encoder.to_json();
+    both["warnings"] = json!(runner.warnings());
+    console.answer(&both)?;
+    console.say(&format!("{}\n{}", described(&encoder)?, described(&poses)?))?;
+    Ok(Outcome::Done)
 }
 
 /// `re4-pipe index`.

@@ -17,7 +17,7 @@ from ._artifact import Artifact
 from ._command import command
 from ._errors import Re4Error
 
-STAGES = ("ingest", "segment", "audit", "train-pose", "index", "train", "scenes", "rollout", "run", "replay")
+STAGES = ("ingest", "segment", "audit", "train-encoder", "train-pose", "index", "train", "scenes", "rollout", "run", "replay")
 
 # Exit code of the command after Ctrl-C or SIGTERM. It ends by the signal itself only if this arrives before the command listens.
 INTERRUPTED = 75
@@ -104,8 +104,8 @@ class Pipeline:
         another program sends to the command.
 
         Args:
-            stage: A stage: ``ingest``, ``segment``, ``audit``, ``train-pose``, ``index``, ``train``, ``scenes``, ``rollout``,
-                ``replay``, or ``run`` for the whole pipeline.
+            stage: A stage: ``ingest``, ``segment``, ``audit``, ``train-encoder``, ``train-pose``, ``index``, ``train``,
+                ``scenes``, ``rollout``, ``replay``, or ``run`` for the whole pipeline.
             arguments: Further arguments of the command, such as ``"--fail-on", "error"``.
             set: Settings that override those of the file and of this object.
             progress: Called with every line that the command prints about its progress, in this thread.

@@ -13,7 +13,7 @@ use super::stated;
 use crate::html::comparison::{Cell, Column, Comparison, Cost, Times, Training, page};
 
 /// Stages that train or calibrate something, if a cell has their artifact.
-const TRAINING: [Stage; 2] = [Stage::TrainPose, Stage::Train];
+const TRAINING: [Stage; 3] = [Stage::TrainEncoder, Stage::TrainPose, Stage::Train];
 
 /// Makes the page of a `comparison` artifact. The rollouts of its cells and the records of their runs are looked for in the folder of
 /// artifacts that contains it, and in `store`; the page states which times are missing.

@@ -1,4 +1,4 @@
-//! The page of a training: reads the tables of a `poses` artifact and the images of its demonstrations.
+//! The page of a training: reads the tables of a `poses` artifact and of its encoder, and the images of its demonstrations.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -31,22 +31,18 @@ const SHOWN: [(GraspPhase, &str); 2] = [
 /// Length of the axes that are shown for a pose, in metres.
 const AXIS: f64 = 0.05;
 
-/// Makes the page of a `poses` artifact of a robosuite task. The `episodes` artifact is looked for beside it and in `store`.
+/// Makes the page of a `poses` artifact of a robosuite task. The `encoder` and `episodes` artifacts are looked for beside it and in
+/// `store`.
 /// Returns the page and warnings for the user.
 ///
 /// # Errors
 /// If the artifact was not made by training an encoder, or a table cannot be read.
 pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<String>)> {
-    ensure!(
-        poses.has::<TrainingRow>(),
-        "cannot report on {}: no encoder was trained for it, so it has no table {}; name a poses artifact of a robosuite task",
-        poses.path().display(),
-        TrainingRow::NAME
-    );
+    let encoder = encoder_of(poses, store)?;
     let manifest = poses.manifest();
     let config = &manifest.config["pose"]["encoder"];
     let camera: String = stated(poses, "config.pose.encoder", config, "camera")?;
-    let epochs: Vec<TrainingRow> = poses.read()?;
+    let epochs: Vec<TrainingRow> = encoder.read()?;
     let errors: Vec<PoseErrorRow> = poses.read()?;
     let episodes = find_input(poses, Stage::Ingest, store)?;
     let mut warnings = Vec::new();
@@ -67,7 +63,7 @@ pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<Stri
         .iter()
         .flat_map(|(_, rows)| rows.iter().map(|row| (row.episode, row.frame)))
         .collect();
-    let estimates = Estimates::read(poses, &errors, &wanted)?;
+    let estimates = Estimates::read(poses, &encoder, &errors, &wanted)?;
     let found = episodes
         .as_ref()
         .map(|episodes| Found::read(episodes, &camera, &wanted, &demos))
@@ -92,10 +88,11 @@ pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<Stri
         let own = errors.iter().filter(|row| row.trained_on == trained_on);
         own.map(|row| row.episode).collect::<BTreeSet<_>>().len()
     };
+    let of_encoder = Some(&encoder).filter(|encoder| encoder.key() != poses.key());
     let training = Training {
         tool_version: env!("CARGO_PKG_VERSION").to_owned(),
         task: task.map_or_else(|| "Pose encoder".to_owned(), |task| task.environment().to_owned()),
-        artifacts: [Some(poses), episodes.as_ref()]
+        artifacts: [Some(poses), of_encoder, episodes.as_ref()]
             .into_iter()
             .flatten()
             .map(|artifact| (artifact.manifest().artifact.clone(), artifact.key().to_string()))
@@ -103,13 +100,32 @@ pub fn training_page(poses: &Artifact, store: &Path) -> Result<(String, Vec<Stri
         demonstrations: [demonstrations(true), demonstrations(false)],
         steps: epochs.last().map_or(0, |epoch| epoch.steps),
         curves: curves(&epochs)?,
-        confidence: calibration(poses)?.map(|calibration| calibration.shown(estimates.unsure)),
+        confidence: calibration(&encoder)?.map(|calibration| calibration.shown(estimates.unsure)),
         errors: by_phase(&errors),
         worst: worst.collect(),
         without_frames,
         settings: config.clone(),
     };
     Ok((page(&training), warnings))
+}
+
+/// The `encoder` artifact whose estimates a `poses` artifact has. Older artifacts of poses have the encoder themselves.
+fn encoder_of(poses: &Artifact, store: &Path) -> Result<Artifact> {
+    if poses.has::<TrainingRow>() {
+        return Ok(poses.clone());
+    }
+    let (path, stage) = (poses.path().display(), Stage::TrainEncoder);
+    ensure!(
+        poses.manifest().inputs.contains_key(stage.artifact()),
+        "cannot report on {path}: no encoder was trained for it; name a poses artifact of a robosuite task"
+    );
+    find_input(poses, stage, store)?.with_context(|| {
+        format!(
+            "cannot report on {path}: its {} artifact is neither beside it nor in {}; run re4-pipe {stage}, or copy the artifact there",
+            stage.artifact(),
+            store.display()
+        )
+    })
 }
 
 /// The curves of the losses, as SVG.
@@ -156,7 +172,12 @@ struct Estimates {
 }
 
 impl Estimates {
-    fn read(poses: &Artifact, errors: &[PoseErrorRow], wanted: &BTreeSet<(u32, u32)>) -> Result<Self> {
+    fn read(
+        poses: &Artifact,
+        encoder: &Artifact,
+        errors: &[PoseErrorRow],
+        wanted: &BTreeSet<(u32, u32)>,
+    ) -> Result<Self> {
         let held_out: BTreeSet<(u32, u32)> = errors
             .iter()
             .filter(|row| !row.trained_on && row.phase == GraspPhase::BeforeGrasp)
@@ -178,8 +199,8 @@ impl Estimates {
                 estimates.wanted.insert(place, row);
             }
         }
-        if poses.has::<LabelRow>() {
-            let labels = poses.read::<LabelRow>()?.into_iter();
+        if encoder.has::<LabelRow>() {
+            let labels = encoder.read::<LabelRow>()?.into_iter();
             estimates.anchors = labels.map(|row| (row.episode, row.anchor)).collect();
         }
         Ok(estimates)
@@ -236,11 +257,11 @@ impl Calibration {
 /// Name of the file with the calibration.
 const CONFIDENCE: &str = "confidence.json";
 
-fn calibration(poses: &Artifact) -> Result<Option<Calibration>> {
-    if !poses.manifest().files.contains_key(CONFIDENCE) {
+fn calibration(encoder: &Artifact) -> Result<Option<Calibration>> {
+    if !encoder.manifest().files.contains_key(CONFIDENCE) {
         return Ok(None);
     }
-    let path = poses.path().join(CONFIDENCE);
+    let path = encoder.path().join(CONFIDENCE);
     let cannot_read = || format!("cannot read {}", path.display());
     let text = std::fs::read_to_string(&path).with_context(cannot_read)?;
     serde_json::from_str(&text).map(Some).with_context(cannot_read)

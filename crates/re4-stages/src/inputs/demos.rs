@@ -35,22 +35,22 @@ fn names(episodes: &Artifact) -> Result<Vec<String>> {
 }
 
 /// The names of demonstrations by their numbers, which do not begin with 0 in a part of an artifact.
-pub(super) struct Names(BTreeMap<u32, String>);
+pub(crate) struct Names(BTreeMap<u32, String>);
 
 impl Names {
     /// Reads the names of an artifact or of a part of one.
-    pub(super) fn read(episodes: &Artifact) -> Result<Self> {
+    pub(crate) fn read(episodes: &Artifact) -> Result<Self> {
         let rows = episodes.read::<DemoRow>()?.into_iter();
         Ok(Self(rows.map(|row| (row.episode, row.demo)).collect()))
     }
 
     /// Number of demonstrations.
-    pub(super) fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.0.len()
     }
 
     /// The name of a demonstration.
-    pub(super) fn of(&self, number: u32) -> Option<String> {
+    pub(crate) fn of(&self, number: u32) -> Option<String> {
         self.0.get(&number).cloned()
     }
 }

@@ -1,8 +1,14 @@
-//! Opens pose estimators from a `poses` artifact.
+//! Opens pose estimators: of Push-T from a `poses` artifact, of robosuite tasks from an `encoder` artifact.
+
+use std::io::ErrorKind;
+use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
 use re4_artifact::Row as _;
 use re4_artifact::{Artifact, col_f64};
+use re4_encoder::Calibration;
+use re4_fault::{OrFault as _, fault};
 use re4_pose::{Anchor, LogPolarEstimator, Outline, Storage};
 use re4_sim::{OUTLINE_RADIUS, tee_rectangles};
 
@@ -47,3 +53,18 @@ pub(crate) fn outline() -> Outline {
 
 /// File name of the calibration of an encoder's confidence.
 pub(crate) const CONFIDENCE: &str = "confidence.json";
+
+/// Reads the calibration of an encoder's confidence; `None` if it has none.
+///
+/// # Errors
+/// If the file cannot be read or is not a calibration.
+pub(crate) fn read_calibration(encoder: &Path) -> Result<Option<Arc<Calibration>>> {
+    let path = encoder.join(CONFIDENCE);
+    let text = match std::fs::read(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        read => read.or_fault(|| fault!("cannot read {}", path.display(); "train the encoder again"))?,
+    };
+    let calibration = serde_json::from_slice(&text)
+        .or_fault(|| fault!("{} is not a calibration", path.display(); "train the encoder again"))?;
+    Ok(Some(Arc::new(calibration)))
+}

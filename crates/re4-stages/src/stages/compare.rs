@@ -147,15 +147,16 @@ fn carried(session: &Session, opened: &[Stage], rollouts: &Manifest) -> Result<u
     // A learned policy opens the index only to name the most similar demonstrated chunk.
     let learned = opened.contains(&Stage::Train);
     let opened = opened.iter().filter(|stage| !learned || **stage == Stage::Train);
-    for &stage in opened.chain(&[Stage::TrainPose]) {
+    for &stage in opened.chain(&[Stage::TrainEncoder, Stage::TrainPose]) {
         let Some(key) = rollouts.inputs.get(stage.artifact()) else {
             continue;
         };
         let artifact = Artifact::open(&session.store.folder(stage, key))?;
         let Manifest { tables, files, .. } = artifact.manifest();
         let opens = |name: &str| match stage {
+            Stage::TrainEncoder => [WEIGHTS, CONFIDENCE].contains(&name),
             // A poses artifact also has the estimates of the demonstrations' images, which a rollout does not read.
-            Stage::TrainPose => [WEIGHTS, CONFIDENCE, AnchorRow::NAME].contains(&name),
+            Stage::TrainPose => name == AnchorRow::NAME,
             Stage::Train => [PolicyCard::WEIGHTS, PolicyCard::FILE].contains(&name),
             _ => true,
         };

@@ -39,6 +39,8 @@ const BATCH: usize = 128;
 pub(crate) struct RolloutArtifacts<'a> {
     /// The `episodes` artifact.
     pub(crate) episodes: &'a Built,
+    /// The `encoder` artifact, if a trained encoder estimates object poses.
+    pub(crate) encoder: Option<&'a Built>,
     /// The `poses` artifact, if object poses are estimated from images.
     pub(crate) poses: Option<&'a Built>,
     /// The `scenes` artifact, if rollouts do not start from seeds.
@@ -50,7 +52,7 @@ pub(crate) struct RolloutArtifacts<'a> {
 impl RolloutArtifacts<'_> {
     /// All artifacts, in the order in which they were made.
     fn all(&self) -> impl Iterator<Item = &Built> {
-        let own = [Some(self.episodes), self.poses, self.scenes];
+        let own = [Some(self.episodes), self.encoder, self.poses, self.scenes];
         own.into_iter().flatten().chain(self.inputs)
     }
 }
@@ -94,10 +96,15 @@ impl Runner {
             simulator_of(&episodes.artifact)?;
         }
         let modes = self.segment(&episodes)?;
+        let encoder = if planar {
+            None
+        } else {
+            self.train_encoder(&episodes, &modes)?
+        };
         let poses = if planar {
             self.train_pose(&episodes)?
         } else {
-            self.train_spatial(&episodes, &modes)?
+            self.estimate_poses(&episodes, &modes, encoder.as_ref())?
         };
         let mut inputs: Vec<Built> = Vec::new();
         for stage in policy.inputs() {
@@ -118,6 +125,7 @@ impl Runner {
         let scenes = if planar { self.scenes(&episodes)? } else { None };
         let artifacts = RolloutArtifacts {
             episodes: &episodes,
+            encoder: encoder.as_ref(),
             poses: poses.as_ref(),
             scenes: scenes.as_ref(),
             inputs: &inputs,

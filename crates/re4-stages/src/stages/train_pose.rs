@@ -1,10 +1,13 @@
-//! The stage `train-pose`: makes `poses` from `episodes`. Push-T's log-polar estimator is not trained but calibrated with the
-//! goal pose; the encoder of robosuite tasks is trained (module `encoder`).
+//! The stages `train-encoder` and `train-pose`, which make `poses` from `episodes`. Push-T's log-polar estimator is not trained but
+//! calibrated with the goal pose. For robosuite tasks, `train-encoder` trains an encoder (module `encoder`), and `train-pose` writes its
+//! estimates (module `estimate`).
 
 mod card;
 mod demos;
 mod encoder;
+mod estimate;
 mod evaluate;
+mod images;
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -48,25 +51,44 @@ impl Runner {
     pub fn train_pose(&self, episodes: &Built) -> Result<Option<Built>> {
         match self.pipeline.pose()?.source {
             PoseSource::Recorded | PoseSource::Encoder => Ok(None),
-            PoseSource::LogPolar => self.estimate_poses(&episodes.artifact).map(Some),
+            PoseSource::LogPolar => self.estimate_planar(&episodes.artifact).map(Some),
         }
     }
 
-    /// Makes the `poses` artifact of a robosuite task, or returns the existing one; `None` if poses are not estimated from
+    /// Makes the `encoder` artifact of a robosuite task, or returns the existing one; `None` if poses are not estimated from
     /// images.
     ///
     /// # Errors
     /// If an input cannot be read, a setting does not fit the input, or the run is interrupted.
-    pub fn train_spatial(&self, episodes: &Built, modes: &Built) -> Result<Option<Built>> {
+    pub fn train_encoder(&self, episodes: &Built, modes: &Built) -> Result<Option<Built>> {
         let pose = self.pipeline.pose()?;
         if pose.source != PoseSource::Encoder {
             return Ok(None);
         }
         check_images(&episodes.artifact, &pose.encoder().camera)?;
-        self.train_encoder(episodes, modes).map(Some)
+        self.make_encoder(episodes, modes).map(Some)
     }
 
-    fn estimate_poses(&self, episodes: &Artifact) -> Result<Built> {
+    /// Makes the `poses` artifact of a robosuite task, or returns the existing one; `None` without an encoder.
+    ///
+    /// # Errors
+    /// As [`Runner::train_encoder`].
+    pub fn estimate_poses(&self, episodes: &Built, modes: &Built, encoder: Option<&Built>) -> Result<Option<Built>> {
+        let estimate = |encoder| self.estimate_spatial(episodes, modes, encoder);
+        encoder.map(estimate).transpose()
+    }
+
+    /// Makes the `encoder` and `poses` artifacts of a robosuite task, and returns the latter; `None` if poses are not estimated from
+    /// images.
+    ///
+    /// # Errors
+    /// As [`Runner::train_encoder`].
+    pub fn train_spatial(&self, episodes: &Built, modes: &Built) -> Result<Option<Built>> {
+        let encoder = self.train_encoder(episodes, modes)?;
+        self.estimate_poses(episodes, modes, encoder.as_ref())
+    }
+
+    fn estimate_planar(&self, episodes: &Artifact) -> Result<Built> {
         let recipe = Recipe::new(Stage::TrainPose, CODE_VERSION)
             .config(&json!({ "pose": self.pipeline.pose()? }))?
             .input("episodes", episodes.key());

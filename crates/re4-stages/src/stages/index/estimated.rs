@@ -83,18 +83,31 @@ impl EstimatedPoses {
         }
         Ok(())
     }
+}
 
-    /// Returns an error if the artifact does not have the poses of exactly `demos` demonstrations.
-    pub(super) fn check_count(&self, demos: u64) -> Result<()> {
-        ensure!(
-            self.rows.len() as u64 == demos,
-            "cannot index: table poses of {} has {} episodes, but there are {demos} demonstrations",
-            self.path,
-            self.rows.len();
-            "train the encoder on these demonstrations, because the poses belong to other ones"
-        );
-        Ok(())
+/// Returns an error if a `poses` artifact does not have the poses of exactly `demos` demonstrations.
+pub(super) fn check_count(poses: &Artifact, demos: u64) -> Result<()> {
+    columns! {
+        /// The column of table `poses` that is read.
+        pub struct NumberOf {
+            /// Demonstration.
+            pub episode: u32,
+        }
     }
+    let (mut count, mut last) = (0, None);
+    // A process that makes some parts has verified only theirs.
+    poses.verify_table(PoseRow::<SpatialEstimate>::table())?;
+    for row in poses.table(PoseRow::<SpatialEstimate>::table())?.stream::<NumberOf>()? {
+        let NumberOf { episode } = row?;
+        count += u64::from(last.replace(episode) != Some(episode));
+    }
+    ensure!(
+        count == demos,
+        "cannot index: table poses of {} has {count} episodes, but there are {demos} demonstrations",
+        poses.path().display();
+        "train the encoder on these demonstrations, because the poses belong to other ones"
+    );
+    Ok(())
 }
 
 /// Replaces the recorded object pose by the end effector's pose. An object that always is at the end effector never leaves it, so

@@ -10,7 +10,7 @@ use re4_index::trim::kept;
 use re4_index::{IndexRow, SpatialState};
 use serde_json::{Value, json};
 
-use super::estimated::EstimatedPoses;
+use super::estimated::{EstimatedPoses, check_count};
 use crate::inputs::demos::SegmentedEpisodes;
 use crate::parts::{Lazy, sum_of_summaries};
 use crate::pipeline::Estimates;
@@ -47,9 +47,13 @@ impl Runner {
                 _ => Ok(BTreeMap::new()),
             })
         };
-        let estimated = || poses.map(|poses| EstimatedPoses::open(&poses.artifact)).transpose();
-        let make = |episodes: &Artifact, modes: &Artifact, writer: &Writer| {
-            let (ends, estimated) = (ends()?, estimated()?);
+        let estimated = |part: u32| {
+            let Some(poses) = poses else { return Ok(None) };
+            // The poses of an encoder have the parts of the demonstrations.
+            EstimatedPoses::open(&poses.artifact.part(part)?).map(Some)
+        };
+        let make = |part: u32, episodes: &Artifact, modes: &Artifact, writer: &Writer| {
+            let (ends, estimated) = (ends()?, estimated(part)?);
             let (mut demos, mut frames, mut retrievable, mut cut) = (0_u64, 0_u64, 0_u64, 0_u64);
             let mut table = writer.rows()?;
             for demo in SegmentedEpisodes::open(episodes, modes)? {
@@ -79,8 +83,8 @@ impl Runner {
         };
         let checked = |summary: ArtifactSummary| {
             let count = |name: &str| summary.summary[name].as_u64().unwrap_or_default();
-            if let Some(estimated) = estimated()? {
-                estimated.check_count(count("episodes"))?;
+            if let Some(poses) = poses {
+                check_count(&poses.artifact, count("episodes"))?;
             }
             if count("retrievable_frames") == 0 {
                 bail!(
@@ -93,13 +97,16 @@ impl Runner {
         let parts = episodes.artifact.parts();
         if parts == 1 {
             return self.build(&recipe, |writer| {
-                checked(make(&episodes.artifact, &modes.artifact, writer)?)
+                checked(make(0, &episodes.artifact, &modes.artifact, writer)?)
             });
         }
         self.build_parts(
             &recipe,
             parts,
-            |writer, part| make(&episodes.artifact.part(part)?, &modes.artifact.part(part)?, writer),
+            |writer, part| {
+                let (episodes, modes) = (episodes.artifact.part(part)?, modes.artifact.part(part)?);
+                make(part, &episodes, &modes, writer)
+            },
             |parts, _| {
                 checked(ArtifactSummary {
                     summary: Value::Object(sum_of_summaries(parts)),

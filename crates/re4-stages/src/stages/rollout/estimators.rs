@@ -1,17 +1,13 @@
 //! Pose estimators that observe the object for a policy from images.
 
-use std::io::ErrorKind;
-use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Result;
 use re4_encoder::{Calibration, EncoderError, Predictor, is_blank};
-use re4_fault::{OrFault as _, Remedy as _, fault};
+use re4_fault::Remedy as _;
 use re4_geometry::Pose2;
 use re4_pose::{Flag, LogPolarEstimator, PushtImage};
 use re4_rollout::{CLEAR, Estimator, Image, ObservedPose, Plane, PolicyError, Space};
-
-use crate::inputs::estimators::CONFIDENCE;
 
 /// The log-polar estimator for one episode of Push-T. If an estimate is not [`Flag::Clear`], the policy gets the last clear one
 /// instead.
@@ -64,21 +60,6 @@ impl Encoder {
             calibration: calibration.cloned(),
         }
     }
-}
-
-/// Reads the calibration of an encoder's confidence; `None` if it has none.
-///
-/// # Errors
-/// If the file cannot be read or is not a calibration.
-pub(super) fn read_calibration(poses: &Path) -> Result<Option<Arc<Calibration>>> {
-    let path = poses.join(CONFIDENCE);
-    let text = match std::fs::read(&path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        read => read.or_fault(|| fault!("cannot read {}", path.display(); "train the encoder again"))?,
-    };
-    let calibration = serde_json::from_slice(&text)
-        .or_fault(|| fault!("{} is not a calibration", path.display(); "train the encoder again"))?;
-    Ok(Some(Arc::new(calibration)))
 }
 
 impl Estimator<Space> for Encoder {

@@ -15,9 +15,9 @@ use re4_task::Task;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::estimators::{Encoder, LogPolar, read_calibration};
+use super::estimators::{Encoder, LogPolar};
 use crate::inputs::demos::demo_names;
-use crate::inputs::estimators::{WEIGHTS, open_estimator};
+use crate::inputs::estimators::{WEIGHTS, open_estimator, read_calibration};
 use crate::inputs::simulators::profile;
 use crate::pipeline::PoseSection;
 
@@ -185,11 +185,16 @@ impl MadeFrom<'_> {
         let task = task
             .robosuite()
             .or_fault(|| fault!("no simulator for this task"; "{AGAIN}"))?;
-        let estimator = match self.made_from(Stage::TrainPose)? {
-            Some(poses) => {
-                let config: EncoderConfig = pose_section(&poses)?.encoder().into_owned();
-                let predictor = Predictor::open(&poses.path().join(WEIGHTS), &config)?;
-                let calibration = read_calibration(poses.path())?;
+        let encoder = match self.made_from(Stage::TrainEncoder)? {
+            Some(encoder) => Some(encoder),
+            // In older artifacts, the weights are with the poses.
+            None => self.made_from(Stage::TrainPose)?,
+        };
+        let estimator = match encoder {
+            Some(encoder) => {
+                let config: EncoderConfig = pose_section(&encoder)?.encoder().into_owned();
+                let predictor = Predictor::open(&encoder.path().join(WEIGHTS), &config)?;
+                let calibration = read_calibration(encoder.path())?;
                 let make = move || {
                     Box::new(Encoder::new(&predictor, calibration.as_ref())) as Box<dyn Estimator<Space> + Send>
                 };
@@ -210,7 +215,7 @@ impl MadeFrom<'_> {
     }
 }
 
-/// The settings with which a `poses` artifact was made.
+/// The settings with which a `poses` or `encoder` artifact was made.
 fn pose_section(poses: &Artifact) -> Result<PoseSection> {
     serde_json::from_value(poses.manifest().config["pose"].clone()).or_fault(|| {
         fault!(

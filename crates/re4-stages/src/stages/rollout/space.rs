@@ -15,9 +15,9 @@ use re4_sim::robosuite::{Placement, Profile, RobosuiteModel, RobosuiteTask, simu
 use re4_stats::{median, wilson_interval};
 use serde_json::{Value, json};
 
-use super::estimators::{Encoder, read_calibration};
+use super::estimators::Encoder;
 use super::{CODE_VERSION, RolloutArtifacts, RolloutSetup, extend};
-use crate::inputs::estimators::WEIGHTS;
+use crate::inputs::estimators::{WEIGHTS, read_calibration};
 use crate::inputs::simulators::{Scenes, profile};
 use crate::parts::parts_of;
 use crate::runner::{Built, Runner};
@@ -72,26 +72,26 @@ pub(crate) fn scene_renderer(scenes: &Scenes, episodes: &Artifact, camera: &str)
 
 impl Runner {
     /// Makes the `rollouts` artifact of a robosuite task, or returns the existing one. The policy observes the simulator's object
-    /// pose or, if `artifacts.poses` is given, the estimates of its encoder.
+    /// pose or, if `artifacts.encoder` is given, the estimates of the encoder.
     pub(super) fn rollout_space(&self, policy: &SpacePolicy, artifacts: &RolloutArtifacts<'_>) -> Result<Built> {
         self.observed(artifacts, |observer| {
             self.rollout_with_observer(policy, artifacts, observer)
         })
     }
 
-    /// Calls `body` with the observer of the pipeline: the encoder of `artifacts.poses`, or `None` for the simulator's poses.
+    /// Calls `body` with the observer of the pipeline: `artifacts.encoder`, or `None` for the simulator's poses.
     pub(super) fn observed<R>(
         &self,
         artifacts: &RolloutArtifacts<'_>,
         body: impl FnOnce(Option<&ImageObserver<'_>>) -> Result<R>,
     ) -> Result<R> {
-        let Some(poses) = artifacts.poses else {
+        let Some(encoder) = artifacts.encoder else {
             return body(None);
         };
         let config = self.pipeline.pose()?.encoder().into_owned();
         let open = || -> Result<Box<MakeEstimator>> {
-            let predictor = Predictor::open(&poses.artifact.path().join(WEIGHTS), &config)?;
-            let calibration = read_calibration(poses.artifact.path())?;
+            let predictor = Predictor::open(&encoder.artifact.path().join(WEIGHTS), &config)?;
+            let calibration = read_calibration(encoder.artifact.path())?;
             Ok(Box::new(move || {
                 Box::new(Encoder::new(&predictor, calibration.as_ref()))
             }))

@@ -1,4 +1,4 @@
-//! The model card and the training plot in the `poses` artifact of an encoder.
+//! The model card and the training plot in the `encoder` artifact.
 
 use std::fmt::Write as _;
 
@@ -41,8 +41,8 @@ pub(super) fn write(
     let mut text = String::from("# Pose encoder\n\n");
     text.push_str(
         "Estimates the pose of the manipulated object from one image, as the pose of the gripper when it holds the object. \
-         Trained only on images, end-effector poses and modes of demonstrations; no recorded object pose was read before \
-         the evaluation below.\n\n",
+         Trained only on images, end-effector poses and modes of demonstrations; no recorded object pose was read. The errors of \
+         the estimates are in the `poses` artifact that was made with this encoder.\n\n",
     );
     writeln!(text, "- artifact: `{own}`")?;
     writeln!(text, "- trained on episodes: `{episodes}`")?;
@@ -68,7 +68,7 @@ pub(super) fn write(
     )?;
     writeln!(
         text,
-        "- training rate: `runs/train-pose-{}.json` in the artifacts folder\n",
+        "- training rate: `runs/train-encoder-{}.json` in the artifacts folder\n",
         own.short()
     )?;
     writeln!(
@@ -86,11 +86,6 @@ pub(super) fn write(
             epoch.epoch, epoch.learning_rate
         )?;
     }
-    writeln!(
-        text,
-        "\n## Evaluation\n\n```json\n{}\n```",
-        serde_json::to_string_pretty(&summary["evaluation"])?
-    )?;
     writer.file(CARD, text.as_bytes())?;
     Ok(())
 }

@@ -1,14 +1,15 @@
-//! What the encoder's training reads of the demonstrations: frames, anchors, and checks of the estimates against the anchors. No
-//! recorded object pose is read.
+//! What the encoder's training and its estimates read of the demonstrations: frames and anchors, and checks of the estimates against the
+//! anchors. No recorded object pose is used.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::Result;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use re4_artifact::{Artifact, Row as _, columns};
+use re4_audit::SpatialDemo;
 use re4_encoder::batches::{Sample, TrainingDemo};
 use re4_encoder::{EncoderConfig, GraspFrame};
-use re4_episode::Mode;
+use re4_episode::{Mode, SpatialFrame};
 use re4_fault::ensure;
 use re4_ingest::{FrameRow, SpatialColumns};
 use re4_policy::DemoNames;
@@ -53,6 +54,24 @@ struct Phases {
 }
 
 impl Demo {
+    /// Whether the demonstration with this number is trained on.
+    pub(super) fn is_trained_on(number: u32, config: &EncoderConfig) -> bool {
+        held_out_every(config.held_out).is_none_or(|every| !(number as usize).is_multiple_of(every))
+    }
+
+    /// A demonstration that was read with its recorded poses. It has no images.
+    pub(super) fn of(demo: &SpatialDemo, config: &EncoderConfig) -> Self {
+        let frames = &demo.episode.frames;
+        Self {
+            episode: demo.number,
+            first: 0,
+            eef: frames.iter().map(|frame| frame.eef).collect(),
+            separation: frames.iter().map(SpatialFrame::finger_separation).collect(),
+            modes: demo.segmented.modes.clone(),
+            trained_on: Self::is_trained_on(demo.number, config),
+        }
+    }
+
     /// The longest run of transfer frames and the transit frames before it. In a demonstration with one grasp, the run starts at
     /// the paper's g(d). In a demonstration that missed and tried again, the first transfer frame has no object in the gripper;
     /// the longest run is the one that carried the object.
@@ -192,91 +211,96 @@ impl TrainingData {
     }
 }
 
-/// Warnings of estimates that do not agree with the anchors.
-pub(super) fn warnings(
-    config: &EncoderConfig,
-    demos: &[Demo],
-    poses: &[Vec<Isometry3<f64>>],
-    names: &DemoNames,
-) -> Vec<Value> {
-    let contradictions = contradictions(config, demos, poses).map(|(demo, distance)| {
-        json!({
-            "code": "anchor_contradicts_images",
-            "demo_name": names.of(demo.episode),
-            "message": format!(
-                "the grasp of {} is {:.0} mm from where its images show the object, far more than in the other demonstrations; \
-                 check that its images and its actions belong together, and that the camera did not move",
-                names.of(demo.episode),
-                1e3 * distance,
-            ),
-        })
-    });
-    let no_better = no_better_than_mean(config, demos, poses).map(|(own, mean)| {
-        json!({
-            "code": "no_better_than_mean",
-            "message": format!(
-                "the estimates of held-out demonstrations are as far from their anchors as the mean anchor is ({:.0} and {:.0} mm in the \
-                 median): the encoder has not learned where the object is; train for longer, and check that the images are those of \
-                 camera {:?}, show the object, and belong to the actions",
-                1e3 * own,
-                1e3 * mean,
-                config.camera,
-            ),
-        })
-    });
-    contradictions.chain(no_better).collect()
+/// How well estimates agree with the anchors, of demonstrations that are added one at a time: some 16 bytes of each, and of a
+/// held-out one another 32 and 8 per frame before the grasp.
+#[derive(Default)]
+pub(super) struct Agreement {
+    /// The median distance of the estimates before the grasp from the anchor in metres, by demonstration.
+    distances: Vec<(u32, f64)>,
+    /// Sum of the positions of the anchors that were trained on, and their number.
+    trained_on: (Vector3<f64>, f64),
+    /// The positions of the anchors of held-out demonstrations, and the numbers of their frames before the grasp.
+    held_out: Vec<(Vector3<f64>, usize)>,
+    /// The distances of the estimates in these frames from the anchors.
+    of_held_out: Vec<f64>,
 }
 
-/// The demonstrations whose anchor is far from their estimates before the grasp, with the distance in metres: much farther than in
-/// the other demonstrations, and farther than demonstrators' grasps differ.
-fn contradictions<'a>(
-    config: &EncoderConfig,
-    demos: &'a [Demo],
-    poses: &'a [Vec<Isometry3<f64>>],
-) -> impl Iterator<Item = (&'a Demo, f64)> {
-    let distances: Vec<(&Demo, f64)> = demos
-        .iter()
-        .zip(poses)
-        .filter_map(|(demo, poses)| {
-            let (_, training) = demo.training(config)?;
-            let distance =
-                |&frame: &u32| (poses[frame as usize].translation.vector - training.anchor.translation.vector).norm();
-            Some((demo, upper_median(training.before.iter().map(distance))?))
-        })
-        .collect();
-    let typical = upper_median(distances.iter().map(|(_, distance)| *distance)).unwrap_or_default();
-    let limit = (CONTRADICTS * typical).max(MINIMUM_CONTRADICTION);
-    distances.into_iter().filter(move |(_, distance)| *distance > limit)
-}
-
-/// The median distance of the estimates before the grasp from the anchor of their held-out demonstration, and that of the mean
-/// anchor of the training set, if the former is not clearly smaller.
-fn no_better_than_mean(config: &EncoderConfig, demos: &[Demo], poses: &[Vec<Isometry3<f64>>]) -> Option<(f64, f64)> {
-    let (mut mean, mut count) = (Vector3::zeros(), 0.0);
-    let mut held_out = Vec::new();
-    for (demo, poses) in demos.iter().zip(poses) {
-        match demo.training(config) {
-            Some((_, training)) if demo.trained_on => {
-                mean += training.anchor.translation.vector;
-                count += 1.0;
-            }
-            Some((_, training)) => held_out.push((training, poses)),
-            None => {}
+impl Agreement {
+    /// Adds a demonstration and its estimates by frame.
+    pub(super) fn add(&mut self, demo: &Demo, poses: &[Isometry3<f64>], config: &EncoderConfig) {
+        let Some((_, training)) = demo.training(config) else {
+            return;
+        };
+        let anchor = training.anchor.translation.vector;
+        let distances = || {
+            let before = training.before.iter();
+            before.map(|&frame| (poses[frame as usize].translation.vector - anchor).norm())
+        };
+        let median = upper_median(distances());
+        self.distances.extend(median.map(|median| (demo.episode, median)));
+        if demo.trained_on {
+            self.trained_on.0 += anchor;
+            self.trained_on.1 += 1.0;
+        } else {
+            self.held_out.push((anchor, training.before.len()));
+            self.of_held_out.extend(distances());
         }
     }
-    let mean = mean / count;
-    let median = |of: &dyn Fn(&TrainingDemo, &Isometry3<f64>) -> f64| {
-        let frames = held_out.iter().flat_map(|(training, poses)| {
-            training
-                .before
-                .iter()
-                .map(move |&frame| of(training, &poses[frame as usize]))
+
+    /// Warnings of estimates that do not agree with the anchors. `name` returns the name of a demonstration.
+    pub(super) fn warnings(&self, config: &EncoderConfig, name: &dyn Fn(u32) -> String) -> Vec<Value> {
+        let contradictions = self.contradictions().map(|(demo, distance)| {
+            json!({
+                "code": "anchor_contradicts_images",
+                "demo_name": name(demo),
+                "message": format!(
+                    "the grasp of {} is {:.0} mm from where its images show the object, far more than in the other demonstrations; \
+                     check that its images and its actions belong together, and that the camera did not move",
+                    name(demo),
+                    1e3 * distance,
+                ),
+            })
         });
-        upper_median(frames)
-    };
-    let own = median(&|training, pose| (pose.translation.vector - training.anchor.translation.vector).norm())?;
-    let of_mean = median(&|training, _| (mean - training.anchor.translation.vector).norm())?;
-    (own > NO_BETTER * of_mean).then_some((own, of_mean))
+        let no_better = self.no_better_than_mean().map(|(own, mean)| {
+            json!({
+                "code": "no_better_than_mean",
+                "message": format!(
+                    "the estimates of held-out demonstrations are as far from their anchors as the mean anchor is ({:.0} and {:.0} mm in the \
+                     median): the encoder has not learned where the object is; train for longer, and check that the images are those of \
+                     camera {:?}, show the object, and belong to the actions",
+                    1e3 * own,
+                    1e3 * mean,
+                    config.camera,
+                ),
+            })
+        });
+        contradictions.chain(no_better).collect()
+    }
+
+    /// The demonstrations whose anchor is far from their estimates before the grasp, with the distance in metres: much farther than in
+    /// the other demonstrations, and farther than demonstrators' grasps differ.
+    fn contradictions(&self) -> impl Iterator<Item = (u32, f64)> {
+        let typical = upper_median(self.distances.iter().map(|(_, distance)| *distance)).unwrap_or_default();
+        let limit = (CONTRADICTS * typical).max(MINIMUM_CONTRADICTION);
+        self.distances
+            .iter()
+            .copied()
+            .filter(move |(_, distance)| *distance > limit)
+    }
+
+    /// The median distance of the estimates before the grasp from the anchor of their held-out demonstration, and that of the mean
+    /// anchor of the training set, if the former is not clearly smaller.
+    fn no_better_than_mean(&self) -> Option<(f64, f64)> {
+        let (sum, count) = self.trained_on;
+        let mean = sum / count;
+        let of_mean = self.held_out.iter().flat_map(|(anchor, frames)| {
+            let distance = (mean - anchor).norm();
+            std::iter::repeat_n(distance, *frames)
+        });
+        let own = upper_median(self.of_held_out.iter().copied())?;
+        let of_mean = upper_median(of_mean)?;
+        (own > NO_BETTER * of_mean).then_some((own, of_mean))
+    }
 }
 
 columns! {
@@ -313,10 +337,9 @@ pub(super) fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Ar
     let ids = frames.iter().map(|row| (row.episode, row.frame));
     ensure!(
         ids.eq(modes_of.iter().map(|row| (row.episode, row.frame))),
-        "cannot train: {} and {} have different frames", episodes.path().display(), modes.path().display();
+        "cannot read {} and {}: they have different frames", episodes.path().display(), modes.path().display();
         "delete the modes artifact and segment again"
     );
-    let every = held_out_every(config.held_out);
     let mut demos: Vec<Demo> = Vec::new();
     for (
         row,
@@ -332,14 +355,13 @@ pub(super) fn read_demos(config: &EncoderConfig, episodes: &Artifact, modes: &Ar
         let rotation = UnitQuaternion::new_normalize(eef.rotation.into_inner());
         let eef = Isometry3::from_parts(eef.translation, rotation);
         if demos.last().is_none_or(|demo| demo.episode != episode) {
-            let number = demos.len();
             demos.push(Demo {
                 episode,
                 first: row as u64,
                 eef: Vec::new(),
                 separation: Vec::new(),
                 modes: Vec::new(),
-                trained_on: every.is_none_or(|every| !number.is_multiple_of(every)),
+                trained_on: Demo::is_trained_on(episode, config),
             });
         }
         if let Some(demo) = demos.last_mut() {
@@ -371,6 +393,14 @@ mod tests {
         }
     }
 
+    fn agreement(config: &EncoderConfig, demos: &[Demo], poses: &[Vec<Isometry3<f64>>]) -> Agreement {
+        let mut agreement = Agreement::default();
+        for (demo, poses) in demos.iter().zip(poses) {
+            agreement.add(demo, poses, config);
+        }
+        agreement
+    }
+
     #[test]
     fn the_anchor_is_the_pose_at_the_command_and_frames_that_hold_the_object_begin_later() {
         let mut config = EncoderConfig::default();
@@ -394,10 +424,12 @@ mod tests {
         let demos = [demo(0, 0.1, false), demo(1, -0.1, true), demo(2, 0.1, true)];
         let estimates = |x: f64| vec![vec![Isometry3::translation(x, 3e-3, 0.0); 6]; 3];
         // The mean anchor is at 0, and the held-out one at 0.1.
-        assert_eq!(no_better_than_mean(&config, &demos, &estimates(0.09)), None);
-        let (own, mean) = no_better_than_mean(&config, &demos, &estimates(0.005)).unwrap();
+        let no_better =
+            |demos: &[Demo], poses: &[Vec<Isometry3<f64>>]| agreement(&config, demos, poses).no_better_than_mean();
+        assert_eq!(no_better(&demos, &estimates(0.09)), None);
+        let (own, mean) = no_better(&demos, &estimates(0.005)).unwrap();
         assert!((own - 0.095).abs() < 1e-9 && (mean - 0.1).abs() < 1e-9);
-        assert_eq!(no_better_than_mean(&config, &demos[1..], &estimates(0.0)[1..]), None);
+        assert_eq!(no_better(&demos[1..], &estimates(0.0)[1..]), None);
     }
 
     #[test]
@@ -407,9 +439,8 @@ mod tests {
         let poses: Vec<_> = [0.11, -0.1, 0.3]
             .map(|x| vec![Isometry3::translation(x, 3e-3, 0.0); 6])
             .into();
-        let found: Vec<u32> = contradictions(&config, &demos, &poses)
-            .map(|(demo, _)| demo.episode)
-            .collect();
+        let agreement = agreement(&config, &demos, &poses);
+        let found: Vec<u32> = agreement.contradictions().map(|(demo, _)| demo).collect();
         assert_eq!(found, [2]);
     }
 }

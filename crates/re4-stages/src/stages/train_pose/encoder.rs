@@ -1,47 +1,41 @@
-//! The stage `train-pose` for robosuite tasks: trains an encoder on `episodes` and `modes`, and writes its estimates to `poses`.
+//! The stage `train-encoder`: trains an encoder on `episodes` and `modes`, and makes `encoder`.
 //!
-//! Until the poses are written, only the columns of `EefOf` (module `demos`), modes and images are read, so no recorded object pose affects the
-//! training. The evaluation reads object poses afterwards, and no stage reads its results.
-
-use std::collections::BTreeSet;
+//! Only the columns of `EefOf` (module `demos`), modes and images are read, so no recorded object pose affects the training.
 
 use anyhow::{Context as _, Result};
-use image::ImageFormat;
-use nalgebra::Isometry3;
-use rayon::prelude::*;
-use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Row as _, Stage, Writer, col_binary, col_text, col_u32};
+use re4_artifact::{Artifact, ArtifactSummary, Key, Recipe, Stage, Writer};
 use re4_encoder::batches::{Sample, Sampler};
 use re4_encoder::images::ImageFile;
 use re4_encoder::loss::Alternatives;
 use re4_encoder::train::{BACKEND, Task, Trained, parts, steps_of, train};
 use re4_encoder::{Calibration, EncoderConfig, EncoderError, IMAGE_BYTES, Predictor, is_blank};
-use re4_fault::{OrFault as _, bail, ensure, fault};
+use re4_fault::ensure;
 use re4_geometry::spatial::Symmetry;
-use re4_ingest::{ImageRow, SourceFile};
-use re4_pose::{PoseRow, SpatialEstimate, TrainingRow};
+use re4_ingest::SourceFile;
+use re4_policy::DemoNames;
+use re4_pose::TrainingRow;
 use re4_train::{Backend, Checkpoints, Epoch, Progress};
 use serde_json::{Value, json};
 
-use super::demos::{Demo, Frames, TrainingData, read_demos, warnings};
-use super::{card, evaluate};
+use super::card;
+use super::demos::{Demo, Frames, TrainingData, read_demos};
+use super::estimate::BATCH;
 use crate::inputs::demos::demo_names;
 use crate::inputs::estimators::{CONFIDENCE, WEIGHTS};
 use crate::inputs::sources::find_weights;
+use crate::parts::Share;
 use crate::runner::{Built, Runner};
 
 /// Increase it whenever the same input gives different bytes.
-const CODE_VERSION: u32 = 6;
-
-/// Batch size of estimation, in images.
-const BATCH: usize = 64;
+const CODE_VERSION: u32 = 1;
 
 impl Runner {
-    /// Trains the encoder and makes the `poses` artifact of a robosuite task, or returns the existing one.
-    pub(crate) fn train_encoder(&self, episodes: &Built, modes: &Built) -> Result<Built> {
+    /// Trains the encoder and makes the `encoder` artifact, or returns the existing one.
+    pub(super) fn make_encoder(&self, episodes: &Built, modes: &Built) -> Result<Built> {
         let config = self.pipeline.pose()?.encoder.clone().unwrap_or_default();
         let (episodes, modes) = (&episodes.artifact, &modes.artifact);
         let weights = config.weights.as_deref().map(find_weights).transpose()?;
-        let mut recipe = Recipe::new(Stage::TrainPose, CODE_VERSION)
+        let mut recipe = Recipe::new(Stage::TrainEncoder, CODE_VERSION)
             .config(&json!({ "pose": { "source": "encoder", "encoder": config } }))?
             .input("episodes", episodes.key())
             .input("modes", modes.key());
@@ -53,7 +47,7 @@ impl Runner {
                 .with_context(cannot_read)?;
             let file = weights_file.insert(opened);
             let hash = self
-                .hash(|stop| file.hash(stop), "train-pose")
+                .hash(|stop| file.hash(stop), "train-encoder")
                 .with_context(cannot_read)?;
             recipe = recipe.source(hash.as_bytes(), json!({ "weights": config.weights }));
         }
@@ -79,6 +73,11 @@ impl Runner {
         checkpoints: &Checkpoints,
         writer: &Writer,
     ) -> Result<(ArtifactSummary, Option<f64>)> {
+        if self.share != Share::Whole {
+            // A process that makes parts has verified only those that it read.
+            episodes.verify_bytes()?;
+            modes.verify_bytes()?;
+        }
         let demos = read_demos(config, episodes, modes)?;
         let names = demo_names(episodes)?;
         let mut data = TrainingData::of(&demos, config, &names);
@@ -94,7 +93,7 @@ impl Runner {
         if config.backend != Backend::Flex {
             config.backend.set_threads(rayon::current_num_threads(), BACKEND)?;
         }
-        let (images, blank) = self.unpack(config, episodes, &demos, writer)?;
+        let (images, blank) = self.unpack(config, episodes, &demos, &names, writer)?;
         data.leave_out(&blank, &demos, &names);
         ensure!(
             !data.training.is_empty(),
@@ -118,7 +117,7 @@ impl Runner {
             symmetry,
         };
         let steps = u64::from(steps_of(config, &sampler));
-        let bar = self.notes.progress(u64::from(config.epochs) * steps, "train-pose");
+        let bar = self.notes.progress(u64::from(config.epochs) * steps, "train-encoder");
         let mut begun = false;
         let trained = train(&task, checkpoints, |progress: &Progress| -> Result<()> {
             // By the first call the weights have been read, and they are not read again.
@@ -128,12 +127,12 @@ impl Runner {
             bar.set_position(progress.steps);
             let [sum, absolute, relative, cross] = parts(&progress.losses);
             bar.set_message(format!(
-                "train-pose, epoch {} of {}: {:.0} images/s, loss {sum:.4} (absolute {absolute:.4}, relative {relative:.4}, cross {cross:.4})",
+                "train-encoder, epoch {} of {}: {:.0} images/s, loss {sum:.4} (absolute {absolute:.4}, relative {relative:.4}, cross {cross:.4})",
                 progress.epoch,
                 config.epochs,
                 progress.rate * config.batch as f64
             ));
-            self.interrupt.check("train-pose")
+            self.interrupt.check("train-encoder")
         })?;
         bar.finish_and_clear();
         writer.file(WEIGHTS, &re4_encoder::to_bytes(&trained.encoder)?)?;
@@ -145,12 +144,7 @@ impl Runner {
         if let Some(calibration) = &calibration {
             writer.file(CONFIDENCE, &serde_json::to_vec_pretty(calibration)?)?;
         }
-        let poses = self.estimate(&predictor, calibration.as_ref(), &demos, &images, writer)?;
-        data.warnings.extend(warnings(config, &demos, &poses, &names));
-        // Recorded poses are read only now, after all estimates are written, and only to measure the errors.
-        let trained_on: Vec<bool> = demos.iter().map(|demo| demo.trained_on).collect();
-        let evaluation = evaluate::evaluate(writer, episodes, modes, &poses, &trained_on, self.pipeline.task)?;
-        let summary = summary(config, &trained, &demos, &sampler, weights.is_some(), &evaluation);
+        let summary = summary(config, &trained, &demos, &sampler, weights.is_some());
         card::write(
             config,
             &summary,
@@ -170,133 +164,32 @@ impl Runner {
         config: &EncoderConfig,
         episodes: &Artifact,
         demos: &[Demo],
+        names: &DemoNames,
         writer: &Writer,
     ) -> Result<(ImageFile, Frames)> {
-        let path = episodes.path();
-        let names = demo_names(episodes)?;
-        let table = episodes.table(ImageRow::table())?;
         let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
         let bar = self.notes.progress(frames as u64, "images");
-        let mut cameras = BTreeSet::new();
         let mut blank = Frames::new();
-        let decoded = table.batches()?.flat_map(|batch| {
-            let decode = || -> Result<Vec<Result<Vec<u8>>>> {
-                self.interrupt.check("train-pose")?;
-                let rows = batch?;
-                let (camera, images) = (col_text(&rows, "camera")?, col_binary(&rows, "image")?);
-                let (episode, frame) = (col_u32(&rows, "episode")?, col_u32(&rows, "frame")?);
-                cameras.extend(camera.iter().flatten().map(|&name| name.to_owned()));
-                let own: Vec<usize> = (0..camera.len())
-                    .filter(|&row| camera[row] == Some(config.camera.as_str()))
-                    .collect();
-                bar.inc(own.len() as u64);
-                let images: Vec<Result<Vec<u8>>> = own
-                    .par_iter()
-                    .map(|&row| {
-                        let place = || {
-                            format!(
-                                "cannot train on {}: the image of {}, frame {}",
-                                path.display(),
-                                names.of(episode[row]),
-                                frame[row]
-                            )
-                        };
-                        let image = image::load_from_memory_with_format(images.value(row), ImageFormat::Png)
-                            .or_fault(
-                                || fault!("{} is not a PNG image", place(); "delete the artifact and ingest again"),
-                            )?
-                            .into_rgb8();
-                        let (width, height) = image.dimensions();
-                        ensure!(
-                            image.as_raw().len() == IMAGE_BYTES && width == height,
-                            "{} has {width} x {height} pixels, but the encoder needs 84 x 84", place();
-                            "render images with ingest.render"
-                        );
-                        Ok(image.into_raw())
-                    })
-                    .collect();
-                for (&row, image) in own.iter().zip(&images) {
-                    if image.as_ref().is_ok_and(|image| is_blank(image)) {
-                        blank.entry(episode[row]).or_default().insert(frame[row]);
-                    }
-                }
-                Ok(images)
-            };
-            match decode() {
-                Ok(images) => images,
-                Err(error) => vec![Err(error)],
+        let name = |demo| names.of(demo);
+        let decoded = self.images_of(episodes, &config.camera, &name)?.map(|image| {
+            let image = image?;
+            bar.inc(1);
+            if is_blank(&image.pixels) {
+                blank.entry(image.episode).or_default().insert(image.frame);
             }
+            anyhow::Ok(image.pixels)
         });
         let images = ImageFile::write(writer.scratch(), decoded)?;
         bar.finish_and_clear();
-        if images.count() == 0 {
-            let names: Vec<String> = cameras.into_iter().collect();
-            bail!(
-                "cannot train on {}: it has no images of camera {:?}", path.display(), config.camera;
-                "set pose.encoder.camera to a camera that it has ({}), or render that camera with ingest.render",
-                names.join(", ")
-            );
-        }
         ensure!(
             images.count() == frames as u64,
             "cannot train on {}: it has {} images of camera {:?} for {frames} frames",
-            path.display(),
+            episodes.path().display(),
             images.count(),
             config.camera;
             "delete the artifact and ingest again"
         );
         Ok((images, blank))
-    }
-
-    /// Estimates the poses of all frames and writes table `poses`. Returns the poses by demonstration and frame, world frame.
-    fn estimate(
-        &self,
-        predictor: &Predictor,
-        calibration: Option<&Calibration>,
-        demos: &[Demo],
-        images: &ImageFile,
-        writer: &Writer,
-    ) -> Result<Vec<Vec<Isometry3<f64>>>> {
-        let bar = self.notes.progress(images.count(), "poses");
-        let mut table = writer.rows()?;
-        let mut all = Vec::with_capacity(demos.len());
-        for demo in demos {
-            self.interrupt.check("train-pose")?;
-            let frames = demo.eef.len();
-            let mut poses = Vec::with_capacity(frames);
-            for start in (0..frames).step_by(BATCH) {
-                let chunk = (start..frames.min(start + BATCH))
-                    .map(|frame| {
-                        let mut image = vec![0; IMAGE_BYTES];
-                        images.read(demo.first + frame as u64, &mut image)?;
-                        Ok(image)
-                    })
-                    .collect::<Result<Vec<_>, EncoderError>>()?;
-                let chunk: Vec<&[u8]> = chunk.iter().map(Vec::as_slice).collect();
-                for prediction in predictor.predict(&chunk)? {
-                    let confidence = calibration
-                        .zip(prediction.disagreement)
-                        .map(|(calibration, score)| calibration.confidence(score));
-                    table.push(&PoseRow {
-                        episode: demo.episode,
-                        frame: poses.len() as u32,
-                        estimate: SpatialEstimate {
-                            trained_on: demo.trained_on,
-                            object: prediction.pose,
-                            confidence,
-                            unsure: confidence.map(Calibration::is_unsure),
-                            embedding: prediction.embedding,
-                        },
-                    })?;
-                    poses.push(prediction.pose);
-                }
-            }
-            bar.inc(frames as u64);
-            all.push(poses);
-        }
-        table.finish()?;
-        bar.finish_and_clear();
-        Ok(all)
     }
 }
 
@@ -336,14 +229,7 @@ fn write_training(epochs: &[Epoch], writer: &Writer) -> Result<()> {
     Ok(())
 }
 
-fn summary(
-    config: &EncoderConfig,
-    trained: &Trained,
-    demos: &[Demo],
-    sampler: &Sampler,
-    pretrained: bool,
-    evaluation: &Value,
-) -> Value {
+fn summary(config: &EncoderConfig, trained: &Trained, demos: &[Demo], sampler: &Sampler, pretrained: bool) -> Value {
     let frames: usize = demos.iter().map(|demo| demo.eef.len()).sum();
     let last = trained.epochs.last();
     json!({
@@ -357,6 +243,5 @@ fn summary(
         "images_to_draw_from": sampler.images(),
         "demonstrations_with_a_near_anchor": sampler.with_neighbours(),
         "loss": last.map(|epoch| epoch.losses[0]),
-        "evaluation": evaluation,
     })
 }

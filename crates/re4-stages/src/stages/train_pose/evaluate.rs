@@ -1,9 +1,15 @@
-//! Measures the errors of an encoder's poses after training: table `pose_errors`, and a summary. This is the only part of
-//! `train-pose` that reads recorded object poses of robosuite tasks.
+//! Measures the errors of an encoder's poses: table `pose_errors`, warnings, and the summary. This is the only part of `train-pose` and
+//! `train-encoder` that reads recorded object poses of robosuite tasks.
+//!
+//! Demonstrations are read one at a time. Beyond [`EVALUATED`] demonstrations, the offset and the figures in the summary are those of an
+//! even selection of them, so that memory and the search for the nearest frames do not grow with the dataset. Table `pose_errors` has
+//! every frame.
 
 use anyhow::Result;
 use nalgebra::Isometry3;
-use re4_artifact::{Artifact, Writer};
+use re4_artifact::{Artifact, ArtifactSummary, Writer};
+use re4_audit::SpatialDemo;
+use re4_encoder::EncoderConfig;
 use re4_episode::Mode;
 use re4_fault::{OrFault as _, ensure, fault};
 use re4_geometry::spatial::rotation_vector;
@@ -12,8 +18,9 @@ use re4_pose::spatial::{Arrival, Demonstration, Evaluation, FrameError, GraspPha
 use re4_stats::spread;
 use serde_json::{Map, Value, json};
 
-use crate::inputs::demos::SegmentedEpisodes;
-use crate::pipeline::Task;
+use super::demos::{Agreement, Demo};
+use crate::inputs::demos::{Names, SegmentedEpisodes};
+use crate::runner::Runner;
 
 /// Quantiles of the errors in the summary.
 const QUANTILES: [f64; 2] = [0.5, 0.9];
@@ -21,92 +28,145 @@ const QUANTILES: [f64; 2] = [0.5, 0.9];
 /// A transferred grasp whose rotation error exceeds this, in rad, grasps the opposite side of the object.
 const OTHER_SIDE: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Compares the estimates of all demonstrations with the recorded poses. Writes table `pose_errors`, and returns the entry
-/// `evaluation` of the summary. `poses` are the estimates by demonstration and frame, world frame, in the order of the artifacts;
-/// `trained_on` has one entry per demonstration: whether it was trained on.
-///
-/// Demonstrations are read one at a time; only poses stay in memory, some 200 bytes per frame.
-///
-/// # Errors
-/// If the artifacts cannot be read, or the estimates do not belong to their demonstrations.
-pub(super) fn evaluate(
-    writer: &Writer,
-    episodes: &Artifact,
-    modes: &Artifact,
-    poses: &[Vec<Isometry3<f64>>],
-    trained_on: &[bool],
-    task: Task,
-) -> Result<Value> {
-    let symmetry = task.symmetry();
-    let demonstrations = read(episodes, modes, poses, trained_on)?;
-    let evaluation = measure(&demonstrations, symmetry)?;
-    write(writer, &demonstrations, evaluation.estimates.as_ref())?;
-    let mut summary = summary(&demonstrations, &evaluation);
-    if let Some(summary) = summary.as_object_mut() {
-        summary.insert("symmetry".to_owned(), serde_json::to_value(symmetry)?);
-    }
-    Ok(summary)
+/// Maximum number of demonstrations that are evaluated together, about. They take some 300 bytes per frame.
+const EVALUATED: usize = 2048;
+
+/// Opens the estimates of all demonstrations, in their order. Each item has the poses of a demonstration, by frame, world frame.
+pub(super) type Poses<'a> = dyn Fn() -> Box<dyn Iterator<Item = Result<Vec<Isometry3<f64>>>> + 'a> + 'a;
+
+/// What is done with a demonstration and its estimates.
+type Visit<'a> = dyn FnMut(&SpatialDemo, Vec<Isometry3<f64>>) -> Result<()> + 'a;
+
+/// The demonstrations of which poses were estimated.
+pub(super) struct Demos<'a> {
+    pub(super) episodes: &'a Artifact,
+    pub(super) modes: &'a Artifact,
+    pub(super) config: &'a EncoderConfig,
 }
 
-fn read(
-    episodes: &Artifact,
-    modes: &Artifact,
-    poses: &[Vec<Isometry3<f64>>],
-    trained_on: &[bool],
-) -> Result<Vec<Demonstration>> {
-    let mut estimates = poses.iter().zip(trained_on);
-    let mut demonstrations = Vec::with_capacity(poses.len());
-    for demo in SegmentedEpisodes::open(episodes, modes)? {
-        let demo = demo?;
-        let frames = &demo.episode.frames;
-        let own = estimates.next().filter(|(poses, _)| poses.len() == frames.len());
-        let (poses, &trained_on) = own.or_fault(|| {
-            fault!(
-                "cannot evaluate the estimated poses: they do not match the {} frames of {} of {}",
-                frames.len(),
-                demo.episode.name,
-                episodes.path().display();
-                "train again"
-            )
+impl Demos<'_> {
+    /// Calls `visit` with each demonstration and its estimates.
+    fn each(&self, poses: &Poses<'_>, visit: &mut Visit<'_>) -> Result<()> {
+        let mut estimates = poses();
+        for demo in SegmentedEpisodes::open(self.episodes, self.modes)? {
+            let demo = demo?;
+            let frames = demo.episode.frames.len();
+            let own = estimates.next().transpose()?.filter(|poses| poses.len() == frames);
+            let poses = own.or_fault(|| {
+                fault!(
+                    "cannot evaluate the estimated poses: they do not match the {frames} frames of {} of {}",
+                    demo.episode.name,
+                    self.episodes.path().display();
+                    "delete the poses artifact and estimate again"
+                )
+            })?;
+            visit(&demo, poses)?;
+        }
+        ensure!(
+            estimates.next().is_none(),
+            "cannot evaluate the estimated poses: there are more demonstrations than in {}", self.episodes.path().display();
+            "delete the poses artifact and estimate again"
+        );
+        Ok(())
+    }
+}
+
+/// An even selection of demonstrations, of those that were trained on and of the others.
+struct Selection {
+    /// One in this many is selected.
+    stride: usize,
+    seen: [usize; 2],
+}
+
+impl Selection {
+    fn of(demos: usize) -> Self {
+        Self {
+            stride: demos.div_ceil(EVALUATED).max(1),
+            seen: [0; 2],
+        }
+    }
+
+    /// Whether the next demonstration is selected.
+    fn selects(&mut self, trained_on: bool) -> bool {
+        let seen = &mut self.seen[usize::from(trained_on)];
+        let selected = seen.is_multiple_of(self.stride);
+        *seen += 1;
+        selected
+    }
+}
+
+impl Runner {
+    /// Compares the estimates with the anchors and with the recorded poses. Writes table `pose_errors`, and returns the summary of the
+    /// `poses` artifact.
+    ///
+    /// # Errors
+    /// If the artifacts cannot be read, the estimates do not belong to their demonstrations, or the run is interrupted.
+    pub(super) fn evaluate(&self, demos: &Demos<'_>, poses: &Poses<'_>, writer: &Writer) -> Result<ArtifactSummary> {
+        let symmetry = self.pipeline.task.symmetry();
+        let names = Names::read(demos.episodes)?;
+        let mut selection = Selection::of(names.count());
+        let mut agreement = Agreement::default();
+        let mut selected = Vec::new();
+        let mut frames = 0;
+        demos.each(poses, &mut |demo, poses| {
+            self.interrupt.check("train-pose")?;
+            let own = Demo::of(demo, demos.config);
+            agreement.add(&own, &poses, demos.config);
+            frames += poses.len();
+            if selection.selects(own.trained_on) {
+                selected.push(demonstration(demo, own.trained_on, poses));
+            }
+            Ok(())
         })?;
-        let held: Vec<bool> = demo
-            .segmented
-            .modes
-            .iter()
-            .map(|mode| *mode == Mode::Transfer)
-            .collect();
-        demonstrations.push(Demonstration {
-            trained_on,
-            phases: GraspPhase::of(&held),
-            estimated: poses.clone(),
-            recorded: frames.iter().map(|frame| frame.object).collect(),
-            eef: frames.iter().map(|frame| frame.eef).collect(),
-        });
+        let evaluation = measure(&selected, symmetry)?;
+        let mut table = writer.rows()?;
+        if let Some(measured) = &evaluation.estimates {
+            demos.each(poses, &mut |demo, poses| {
+                self.interrupt.check("train-pose")?;
+                let trained_on = Demo::is_trained_on(demo.number, demos.config);
+                let rows = (0..).zip(phases(demo)).zip(poses.iter().zip(&demo.episode.frames));
+                let rows = rows.map(|((frame, phase), (pose, recorded))| PoseErrorRow {
+                    episode: demo.number,
+                    frame,
+                    trained_on,
+                    phase,
+                    error: measured.offset.error(pose, &recorded.object),
+                });
+                Ok(table.extend(rows)?)
+            })?;
+        }
+        table.finish()?;
+        let mut scores = summary(&selected, &evaluation);
+        if let Some(scores) = scores.as_object_mut() {
+            scores.insert("symmetry".to_owned(), serde_json::to_value(symmetry)?);
+        }
+        let [held_out, trained_on] = selection.seen;
+        Ok(ArtifactSummary {
+            summary: json!({
+                "episodes": held_out + trained_on,
+                "frames": frames,
+                "trained_on": trained_on,
+                "evaluation": scores,
+            }),
+            warnings: agreement.warnings(demos.config, &|demo| names.of(demo).unwrap_or_default()),
+        })
     }
-    ensure!(
-        estimates.next().is_none(),
-        "cannot evaluate the estimated poses: there are more demonstrations than in {}", episodes.path().display();
-        "train again"
-    );
-    Ok(demonstrations)
 }
 
-fn write(writer: &Writer, demonstrations: &[Demonstration], measured: Option<&Measured>) -> Result<()> {
-    let mut table = writer.rows()?;
-    let of_demos = measured.map_or(&[][..], |measured| &measured.errors);
-    for ((episode, demo), errors) in (0_u32..).zip(demonstrations).zip(of_demos) {
-        // Every frame has an estimate, so `flatten` drops nothing.
-        let errors = (0..).zip(&demo.phases).zip(errors.iter().flatten());
-        table.extend(errors.map(|((frame, &phase), &error)| PoseErrorRow {
-            episode,
-            frame,
-            trained_on: demo.trained_on,
-            phase,
-            error,
-        }))?;
+fn demonstration(demo: &SpatialDemo, trained_on: bool, estimated: Vec<Isometry3<f64>>) -> Demonstration {
+    let frames = &demo.episode.frames;
+    Demonstration {
+        trained_on,
+        phases: phases(demo),
+        estimated,
+        recorded: frames.iter().map(|frame| frame.object).collect(),
+        eef: frames.iter().map(|frame| frame.eef).collect(),
     }
-    table.finish()?;
-    Ok(())
+}
+
+fn phases(demo: &SpatialDemo) -> Vec<GraspPhase> {
+    let modes = &demo.segmented.modes;
+    GraspPhase::of(&modes.iter().map(|mode| *mode == Mode::Transfer).collect::<Vec<_>>())
 }
 
 /// The entry `evaluation` of the summary. Values that could not be measured are null.
@@ -200,6 +260,20 @@ mod tests {
             recorded: recorded.to_vec(),
             eef: recorded.to_vec(),
         }
+    }
+
+    #[test]
+    fn many_demonstrations_are_selected_evenly_of_both_sets() {
+        let select = |demos: usize| {
+            let mut selection = Selection::of(demos);
+            // As with pose.encoder.held_out = 0.1, one in ten is held out.
+            let sets = (0..demos).map(|demo| !demo.is_multiple_of(10));
+            let selected: Vec<bool> = sets.filter(|&trained_on| selection.selects(trained_on)).collect();
+            let trained_on = selected.iter().filter(|trained_on| **trained_on).count();
+            [selected.len() - trained_on, trained_on]
+        };
+        assert_eq!(select(2048), [205, 1843]);
+        assert_eq!(select(20_480), [205, 1844]);
     }
 
     #[test]
