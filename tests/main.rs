@@ -18,6 +18,7 @@ mod dependencies;
 mod encoder;
 mod engines;
 mod export;
+mod file_locks;
 mod foreign;
 mod fuzz_corpus;
 mod golden;
