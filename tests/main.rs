@@ -31,6 +31,7 @@ mod interrupt;
 mod kill;
 mod lerobot;
 mod many_files;
+mod network_mounts;
 mod notebooks;
 mod notes;
 mod object_store;
