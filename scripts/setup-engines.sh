@@ -1,6 +1,6 @@
 #!/bin/sh
-# Installs what the tests of the front-ends in scripts/engines need: Slurm and MUNGE from Debian (13 MB), and with the argument `ray`
-# also Ray, in a virtual environment in target/ray (285 MB).
+# Installs what the tests of clusters need: Slurm and MUNGE (13 MB) and GlusterFS (36 MB) from Debian, and with the argument `ray` also
+# Ray, in a virtual environment in target/ray (285 MB).
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -9,6 +9,8 @@ command -v slurmctld >/dev/null 2>&1 || missing="$missing slurmctld"
 command -v slurmd >/dev/null 2>&1 || missing="$missing slurmd"
 command -v sbatch >/dev/null 2>&1 || missing="$missing slurm-client"
 command -v munged >/dev/null 2>&1 || missing="$missing munge"
+command -v glusterfsd >/dev/null 2>&1 || missing="$missing glusterfs-server"
+command -v glusterfs >/dev/null 2>&1 || missing="$missing glusterfs-client"
 if [ -n "$missing" ]; then
     # shellcheck disable=SC2086 # a list of package names
     scripts/install-debian.sh setup-engines $missing

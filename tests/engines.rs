@@ -25,6 +25,23 @@ const SIX_PARTS: [&str; 5] = [
     "rollout.max_steps=4",
 ];
 
+/// Two policies with rollouts of two parts each.
+const SUITE: &str = r#"
+pipeline = "small.toml"
+seeds = "300000..301100"
+set = { rollout.max_steps = 4 }
+
+[[row]]
+name = "ours"
+
+[[row]]
+name = "RE2"
+policy = "re2"
+
+[[column]]
+name = "few"
+"#;
+
 /// A file of the repository, as an argument.
 fn file(name: &str) -> String {
     repository().join(name).to_str().unwrap().to_owned()
@@ -32,8 +49,12 @@ fn file(name: &str) -> String {
 
 /// The plan of [`SIX_PARTS`], with more arguments of `re4-pipe plan`.
 fn plan(place: &Place, more: &[&str]) -> Value {
-    let arguments = [&["plan"], &SIX_PARTS[..], &["--json"], more].concat();
-    let mut plan = place.run_each(&arguments).done().json();
+    planned(place, &[&SIX_PARTS[..], more].concat())
+}
+
+/// The plan of a pipeline or a suite.
+fn planned(place: &Place, arguments: &[&str]) -> Value {
+    let mut plan = place.run_each(&[&["plan", "--json"], arguments].concat()).done().json();
     // `Answer` has replaced it.
     plan["directory"] = place.path().to_str().unwrap().into();
     plan
@@ -398,6 +419,50 @@ fn stopping_plan(place: &Place) -> Value {
     plan
 }
 
+/// Asserts that these tasks ran twice, first on these nodes, and that nothing else was tried again or failed.
+#[track_caller]
+fn assert_tried_again(answer: &Answer, tasks: &[(&str, &str)]) {
+    println!("{}", answer.stdout);
+    for (task, node) in tasks {
+        let line = format!("{task} ran 2 times, on {node}, ");
+        assert!(answer.stdout.contains(&line), "{}", answer.stdout);
+    }
+    let counts = format!(" 0 failed, 0 not run, {}", tasks.len());
+    assert!(verdict(answer).ends_with(&counts), "{}", answer.stdout);
+}
+
+/// A node is lost while it makes the second part of its shard of a suite. It cannot be `head`. `again` is called until the front-end ends.
+fn a_suite_loses_a_node(
+    cluster: &mut Cluster,
+    head: &str,
+    kill: impl FnOnce(&mut Cluster, &str),
+    mut again: impl FnMut(&mut Cluster),
+) {
+    let place = Place::new();
+    place.write("suite.toml", SUITE);
+    let mut plan = planned(&place, &["suite.toml", "--shards", "2"]);
+    stop_at(&place, &mut plan, "compare", 0, "0/4");
+    stop_at(&place, &mut plan, "compare", 1, "2/4");
+    let engine = Engine::start(&place, cluster, &plan, &[]);
+    let mut running = [0, 1].map(|index| (index, stopped(&place, "compare", index)));
+    if running[0].1.1 == head {
+        running.reverse();
+    }
+    let [(lost, (process, node)), (other, _)] = running;
+    let made = parts(&place);
+    assert_eq!(made.len(), 2, "{made:?}");
+    kill(cluster, &node);
+    process.wait();
+    place.write(&format!("{other}.open"), "");
+    let answer = engine.finish(&place, || again(cluster)).done();
+    assert_tried_again(&answer, &[(&format!("compare {lost}/2"), &node)]);
+    let whole = Place::new();
+    whole.write("suite.toml", SUITE);
+    whole.run("compare suite.toml").done();
+    assert_eq!(folders_in(&place.artifacts().join("comparison")).len(), 1);
+    assert_same_bytes(&made_in(&place), &made_in(&whole));
+}
+
 #[test]
 fn three_slurm_nodes() {
     let base = Place::empty();
@@ -408,6 +473,15 @@ fn three_slurm_nodes() {
     tasks_end_in_every_way(&mut cluster, |cluster| {
         cluster.ask("release");
     });
+    let mut killed = String::new();
+    let kill = |cluster: &mut Cluster, node: &str| {
+        cluster.ask(&format!("kill {node}"));
+        killed = format!("start {node}");
+    };
+    a_suite_loses_a_node(&mut cluster, "", kill, |cluster| {
+        cluster.ask("release");
+    });
+    cluster.ask(&killed);
 
     let place = Place::new();
     let plan = stopping_plan(&place);
@@ -433,22 +507,8 @@ fn three_slurm_nodes() {
             }
         })
         .done();
-    println!("{}", answer.stdout);
     orphan.wait();
-    for (index, node) in [(1, &node), (2, &lost)] {
-        assert!(
-            answer
-                .stdout
-                .contains(&format!("rollout {index}/3 ran 2 times, on {node}, ")),
-            "{}",
-            answer.stdout
-        );
-    }
-    assert!(
-        verdict(&answer).ends_with(" 0 failed, 0 not run, 2"),
-        "{}",
-        answer.stdout
-    );
+    assert_tried_again(&answer, &[("rollout 1/3", &node), ("rollout 2/3", &lost)]);
     assert_same_bytes(&made_in(&place), &unsharded());
 }
 
@@ -457,34 +517,29 @@ fn three_ray_nodes() {
     let base = Place::empty();
     let Some(mut cluster) = Cluster::ray(&base) else { return };
     tasks_end_in_every_way(&mut cluster, |_| ());
+    // The driver and the tables of the cluster are on the head, 127.0.0.2, which cannot be lost.
+    let number = |node: &str| if node == "127.0.0.3" { 1 } else { 2 };
+    let mut lost = 0;
+    let kill = |cluster: &mut Cluster, node: &str| {
+        lost = number(node);
+        assert_eq!(cluster.ask(&format!("kill {lost}")), json!(["raylet"]));
+    };
+    a_suite_loses_a_node(&mut cluster, "127.0.0.2", kill, |_| ());
+    cluster.ask(&format!("start {lost}"));
 
     let place = Place::new();
     let plan = stopping_plan(&place);
     let engine = Engine::start(&place, &cluster, &plan, &[]);
     let (killed, node) = stopped(&place, "rollout", 1);
     let (_, other) = stopped(&place, "rollout", 2);
-    // The driver and the tables of the cluster are on the head, 127.0.0.2, which cannot be lost.
     let (index, node) = if node == "127.0.0.2" { (2, other) } else { (1, node) };
-    let number = if node == "127.0.0.3" { 1 } else { 2 };
-    assert_eq!(cluster.ask(&format!("kill {number}")), json!(["raylet"]));
+    assert_eq!(cluster.ask(&format!("kill {}", number(&node))), json!(["raylet"]));
     place.write(if index == 1 { "2.open" } else { "1.open" }, "");
     let answer = engine.finish(&place, || ()).done();
-    println!("{}", answer.stdout);
     if index == 1 {
         killed.wait();
     }
-    assert!(
-        answer
-            .stdout
-            .contains(&format!("rollout {index}/3 ran 2 times, on {node}, ")),
-        "{}",
-        answer.stdout
-    );
-    assert!(
-        verdict(&answer).ends_with(" 0 failed, 0 not run, 1"),
-        "{}",
-        answer.stdout
-    );
+    assert_tried_again(&answer, &[(&format!("rollout {index}/3"), &node)]);
     assert_same_bytes(&made_in(&place), &unsharded());
 }
 

@@ -6,12 +6,21 @@ Every process of a node inherits RE4_TEST_NODE=CLUSTER/NODE, so that a node can 
 import json
 import os
 import signal
+import socket
 import sys
 import time
 import uuid
 
 CLUSTER = uuid.uuid4().hex
 MARK = "RE4_TEST_NODE"
+
+
+def free_ports(count):
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    ports = [s.getsockname()[1] for s in sockets]
+    for s in sockets:
+        s.close()
+    return ports
 
 
 def environment(node, **more):

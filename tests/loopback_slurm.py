@@ -3,6 +3,7 @@
 Prints {"SLURM_CONF": PATH} when all nodes are idle. Commands on standard input:
   kill NODE     kills a whole node: daemon, steps and tasks; prints the names of the processes
   orphan NODE   kills only the daemon, so that the node is down for Slurm while its tasks go on
+  start NODE    starts a node that was killed again, and waits until it is idle; prints its name
   release       lets requeued jobs start now instead of after Slurm's waiting time; prints their numbers
 At the end of standard input everything is killed. Needs root and the Debian packages slurmctld, slurmd, slurm-client and munge.
 """
@@ -18,18 +19,10 @@ import loopback
 NODES = ["n1", "n2", "n3"]
 
 
-def free_ports(count):
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [s.getsockname()[1] for s in sockets]
-    for s in sockets:
-        s.close()
-    return ports
-
-
 def configuration(folder, largest):
     host = socket.gethostname().split(".")[0]
-    control, *ports = free_ports(1 + len(NODES))
-    nodes = [f"NodeName={n} NodeHostname={host} NodeAddr=127.0.0.1 Port={p} CPUs=1 RealMemory=4000" for n, p in zip(NODES, ports)]
+    control, *ports = loopback.free_ports(1 + len(NODES))
+    nodes = [f"NodeName={n} NodeHostname={host} NodeAddr=127.0.0.1 Port={p} CPUs=1 RealMemory=8000" for n, p in zip(NODES, ports)]
     return "\n".join([
         "ClusterName=loopback", f"SlurmctldHost={host}(127.0.0.1)", f"SlurmctldPort={control}", "SlurmUser=root",
         "AuthType=auth/munge", f"AuthInfo=socket={folder}/munge.socket", f"StateSaveLocation={folder}/state",
@@ -59,12 +52,17 @@ def start(folder, largest):
     munge = [f"--{name}-file={folder}/munge.{name}" for name in ["pid", "log", "seed"]]
     run("munged", "--force", f"--key-file={folder}/key", f"--socket={folder}/munge.socket", *munge, env=loopback.environment("munge"))
     run("slurmctld", env=loopback.environment("control"))
-    for node in NODES:
+    begin(*NODES)
+
+
+def begin(*nodes):
+    """Starts nodes, and waits until they are idle."""
+    for node in nodes:
         run("slurmd", "-N", node, env=loopback.environment(node))
     for _ in range(600):
-        answer = subprocess.run(["sinfo", "-h", "-N", "-o", "%N %T"], capture_output=True, text=True, check=False)
-        if answer.stdout.split() == [word for node in NODES for word in (node, "idle")]:
-            return
+        answer = subprocess.run(["sinfo", "-h", "-N", "-n", ",".join(nodes), "-o", "%N %T"], capture_output=True, text=True, check=False)
+        if answer.stdout.split() == [word for node in nodes for word in (node, "idle")]:
+            return nodes
         time.sleep(0.1)
     raise SystemExit(f"the nodes are not idle: {answer.stdout}{answer.stderr}")
 
@@ -96,6 +94,7 @@ if __name__ == "__main__":
     folder = os.path.abspath(sys.argv[1])
     try:
         start(folder, int(sys.argv[2]) if len(sys.argv) > 2 else 10001)
-        loopback.serve({"SLURM_CONF": os.environ["SLURM_CONF"]}, {"kill": kill, "orphan": orphan, "release": release})
+        commands = {"kill": kill, "orphan": orphan, "start": begin, "release": release}
+        loopback.serve({"SLURM_CONF": os.environ["SLURM_CONF"]}, commands)
     finally:
         loopback.end()

@@ -14,6 +14,15 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), ArtifactError> {
         .map_err(ArtifactError::io("sync", folder))
 }
 
+/// Whether something is not there, in an error about a path that another process may have removed meanwhile. A network file system can
+/// report a stale handle instead, if this machine has seen what was removed.
+pub(crate) fn is_gone(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle
+    )
+}
+
 /// Number of bytes that are hashed at once: large enough to use all cores.
 const BLOCK: usize = 4 << 20;
 

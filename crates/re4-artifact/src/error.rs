@@ -313,6 +313,10 @@ fn explain(error: &io::Error) -> (String, Option<&'static str>) {
             "permission denied",
             "give yourself write permission there or choose another artifacts folder",
         ),
+        io::ErrorKind::NotConnected | io::ErrorKind::ConnectionAborted => (
+            "its file system is no longer mounted",
+            "mount it again and run the same command",
+        ),
         io::ErrorKind::NotFound => {
             return (
                 error.to_string(),
@@ -387,13 +391,19 @@ mod tests {
     use parquet::errors::ParquetError;
 
     #[test]
-    fn a_full_disk_is_distinguished_from_an_encoder_error() {
+    fn errors_of_the_system_are_distinguished_from_those_of_an_encoder() {
         let full = io::Error::from(io::ErrorKind::StorageFull);
         let path = Path::new("a/frames.parquet");
         let message = ArtifactError::parquet("write", path)(ParquetError::External(Box::new(full))).sentence();
         assert_eq!(
             message,
             "cannot write a/frames.parquet: the disk is full; free space there or choose another artifacts folder"
+        );
+        let lost = io::Error::from(io::ErrorKind::NotConnected);
+        let message = ArtifactError::io("read", path)(lost).sentence();
+        assert_eq!(
+            message,
+            "cannot read a/frames.parquet: its file system is no longer mounted; mount it again and run the same command"
         );
         let broken = ArtifactError::parquet("read", path)(ParquetError::General("odd page".to_owned()));
         assert!(matches!(broken, ArtifactError::Parquet { .. }));

@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::canonical::{canonical_json, canonical_text};
+use crate::disk::is_gone;
 use crate::error::ArtifactError;
 use crate::key::{Key, Recipe, Stage};
 use crate::manifest::{MANIFEST_NAME, PARTS};
@@ -25,6 +26,9 @@ const RUNS: &str = "runs";
 /// Folder of the temporary files and folders of all writers. It is apart from the artifacts, so that leftovers are found without
 /// listing these, and removed when it is empty.
 const UNFINISHED: &str = ".unfinished";
+
+/// How often the creation of a temporary file is tried while other processes remove the folder for it.
+const ATTEMPTS: usize = 1_000;
 
 /// A folder of artifacts.
 ///
@@ -135,8 +139,7 @@ impl Store {
         match fs::symlink_metadata(&folder) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(ArtifactError::io("access", &folder)(error)),
-            // Parts have been published, but the manifest of the artifact has not.
-            Ok(_) if !folder.join(MANIFEST_NAME).exists() && folder.join(PARTS).is_dir() => Ok(None),
+            Ok(_) if is_begun(&folder) => Ok(None),
             Ok(_) => {
                 let artifact = expected(Artifact::open(&folder)?, key)?;
                 // A process that makes some parts verifies those that it reads.
@@ -211,14 +214,19 @@ impl Store {
     /// Creates a temporary file or folder with `create`, which gets the folder for it.
     pub(crate) fn temporary<T>(&self, create: impl Fn(&Path) -> io::Result<T>) -> io::Result<T> {
         let unfinished = self.root.join(UNFINISHED);
-        loop {
+        let attempt = || {
             fs::create_dir_all(&unfinished)?;
-            match create(&unfinished) {
-                // Another process has removed the folder because it was empty.
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            create(&unfinished)
+        };
+        for _ in 0..ATTEMPTS {
+            match attempt() {
+                // Another process has removed the folder because it was empty. If that happens right after this one has found that the
+                // folder exists, the error says that it exists.
+                Err(error) if is_gone(&error) || error.kind() == io::ErrorKind::AlreadyExists => {}
                 created => return created,
             }
         }
+        attempt()
     }
 
     /// Removes the folder of temporary files if it is empty.
@@ -238,7 +246,7 @@ impl Store {
             };
             match removed {
                 // Another process has removed it.
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) if is_gone(&error) => {}
                 removed => removed.map_err(ArtifactError::io("remove the leftover", &path))?,
             }
         }
@@ -293,11 +301,54 @@ fn file_states(folder: &Path) -> io::Result<Vec<FileState>> {
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ArtifactError> {
     let listing = match fs::read_dir(folder) {
         Ok(listing) => listing,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) if is_gone(&error) => return Ok(Vec::new()),
         Err(error) => return Err(ArtifactError::io("list", folder)(error)),
     };
-    listing
-        .map(|entry| entry.map(|entry| entry.path()))
-        .collect::<Result<_, _>>()
-        .map_err(ArtifactError::io("list", folder))
+    let mut found = Vec::new();
+    for entry in listing {
+        match entry {
+            Err(error) if is_gone(&error) => break,
+            entry => found.push(entry.map_err(ArtifactError::io("list", folder))?.path()),
+        }
+    }
+    Ok(found)
+}
+
+/// Whether the folder of an artifact has nothing but the folder of its parts, or nothing at all because that is created next.
+fn is_begun(folder: &Path) -> bool {
+    fs::read_dir(folder)
+        .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == PARTS)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    #[test]
+    fn a_temporary_file_is_created_although_others_remove_its_folder() {
+        let root = tempfile::tempdir().unwrap();
+        let store = Store::open(root.path()).unwrap();
+        for kind in [
+            io::ErrorKind::NotFound,
+            io::ErrorKind::StaleNetworkFileHandle,
+            io::ErrorKind::AlreadyExists,
+        ] {
+            let attempts = Cell::new(0);
+            let created = store.temporary(|unfinished| {
+                assert!(unfinished.is_dir());
+                attempts.set(attempts.get() + 1);
+                if attempts.get() < 4 {
+                    fs::remove_dir(unfinished)?;
+                    return Err(kind.into());
+                }
+                fs::write(unfinished.join("x"), "")?;
+                fs::remove_file(unfinished.join("x"))
+            });
+            created.unwrap();
+            assert_eq!(attempts.get(), 4);
+            // An error that stays is returned.
+            assert_eq!(store.temporary(|_| Err::<(), _>(kind.into())).unwrap_err().kind(), kind);
+        }
+    }
 }

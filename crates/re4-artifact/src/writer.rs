@@ -19,7 +19,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::columns::{Columns, check_rows};
-use crate::disk::sync_folder;
+use crate::disk::{is_gone, sync_folder};
 use crate::error::ArtifactError;
 use crate::key::Recipe;
 use crate::manifest::{Division, FileSummary, Manifest, TableSummary};
@@ -132,7 +132,7 @@ pub(crate) fn remove_own() {
         // Removal fails if another thread creates a file in the folder at the same time, so it is repeated.
         for _ in 0..100 {
             match fs::remove_dir_all(&path) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {}
+                Err(error) if !is_gone(&error) => {}
                 _ => break,
             }
         }

@@ -223,6 +223,21 @@ fn bytes_do_not_depend_on_who_makes_which_part_in_which_order() {
 }
 
 #[test]
+fn a_folder_that_is_only_begun_is_no_artifact() {
+    // A process creates the folder of the artifact and then that of its parts, and may be killed in between.
+    let root = tempfile::tempdir().unwrap();
+    let store = Store::open(root.path()).unwrap();
+    let folder = store.folder(Stage::Segment, &recipe().key());
+    for begun in [folder.clone(), folder.join("parts")] {
+        fs::create_dir_all(begun).unwrap();
+        assert!(store.lookup(Stage::Segment, &recipe().key()).unwrap().is_none());
+    }
+    fs::write(folder.join("parts.txt"), "").unwrap();
+    let error = store.lookup(Stage::Segment, &recipe().key()).unwrap_err().sentence();
+    assert!(error.contains("it has no manifest.json"), "{error}");
+}
+
+#[test]
 fn many_writers_of_one_part_and_of_the_manifest_agree() {
     let root = tempfile::tempdir().unwrap();
     let parts = rows_of(&[50, 50]);

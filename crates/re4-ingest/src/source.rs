@@ -189,8 +189,26 @@ impl SourceFile {
 pub(crate) fn check_unchanged(path: &Path, identity: &Identity) -> Result<(), Fault> {
     match fs::metadata(path) {
         Ok(metadata) if Identity::of(&metadata) == *identity => Ok(()),
+        Err(error) if is_unreachable(&error) => Err(Fault::io("read", path, error)),
         _ => Err(Fault::Changed { path: path.to_owned() }),
     }
+}
+
+/// Whether an error is about the connection to a network file system or about a disk, so that it says nothing about a change of the file.
+pub(crate) fn is_unreachable(error: &io::Error) -> bool {
+    // EIO has no kind.
+    let disk = error.raw_os_error() == Some(5);
+    let connection = matches!(
+        error.kind(),
+        io::ErrorKind::NotConnected
+            | io::ErrorKind::ConnectionAborted
+            | io::ErrorKind::ConnectionReset
+            | io::ErrorKind::TimedOut
+            | io::ErrorKind::HostUnreachable
+            | io::ErrorKind::NetworkUnreachable
+            | io::ErrorKind::NetworkDown
+    );
+    disk || connection
 }
 
 /// Refuses anything that is not a regular file.
@@ -223,6 +241,7 @@ pub(crate) fn io_fix(error: &io::Error) -> &'static str {
         }
         io::ErrorKind::ReadOnlyFilesystem => "choose a folder that can be written to",
         io::ErrorKind::NotFound => "restore or create it",
+        io::ErrorKind::NotConnected | io::ErrorKind::ConnectionAborted => "mount its file system again, then run again",
         _ => "check the disk and try again",
     }
 }
@@ -341,6 +360,20 @@ mod tests {
     }
 
     #[test]
+    fn a_lost_mount_is_no_change() {
+        for error in [io::ErrorKind::NotConnected.into(), io::Error::from_raw_os_error(5)] {
+            assert!(is_unreachable(&error));
+        }
+        for kind in [
+            io::ErrorKind::NotFound,
+            io::ErrorKind::NotADirectory,
+            io::ErrorKind::StaleNetworkFileHandle,
+        ] {
+            assert!(!is_unreachable(&kind.into()));
+        }
+    }
+
+    #[test]
     fn system_errors_name_the_path_and_the_remedy() {
         let sentences: Vec<String> = [
             io::ErrorKind::PermissionDenied,
@@ -348,6 +381,7 @@ mod tests {
             io::ErrorKind::ReadOnlyFilesystem,
             io::ErrorKind::NotFound,
             io::ErrorKind::TimedOut,
+            io::ErrorKind::NotConnected,
         ]
         .map(|kind| {
             Fault::io("read", "/data/x.zarr/data/img/3.0.0.0", kind.into())

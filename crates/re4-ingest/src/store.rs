@@ -13,7 +13,7 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 use crate::error::Fault;
-use crate::source::{Identity, SourceFile, Stop, irregular, settle};
+use crate::source::{Identity, SourceFile, Stop, irregular, is_unreachable, settle};
 
 /// Maximum number of folders above the store in a zip file.
 const ZIP_DEPTH: usize = 2;
@@ -207,6 +207,7 @@ impl Store {
             return archive.unchanged_checked();
         }
         let now = list(&self.folder, &|| false).map_err(|fault| match fault {
+            Fault::Io { ref source, .. } if is_unreachable(source) => fault,
             Fault::Changed { path } | Fault::Io { path, .. } => Fault::Changed { path },
             Fault::NotAFileInside { file, .. } => changed(&self.folder.join(file)),
             _ => changed(&self.folder),
