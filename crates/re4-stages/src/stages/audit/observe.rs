@@ -147,10 +147,10 @@ impl Runner {
         let count = |name: &str| summary[name].as_u64().unwrap_or_default();
         let (kept, left, chunks) = (count("episodes"), count("left_out"), count("chunks"));
         let bar = self.notes.progress(3 * (kept + left), "observe");
-        let each = |visit: &mut dyn FnMut(&Observation, bool) -> Result<()>| {
+        let each = |values: Values, visit: &mut dyn FnMut(&Observation, bool) -> Result<()>| {
             for part in parts {
                 self.interrupt.check("observe")?;
-                let observed = observed(part)?;
+                let observed = observed(part, values)?;
                 bar.inc(observed.len() as u64);
                 observed.iter().try_for_each(|(own, kept)| visit(own, *kept))?;
             }
@@ -158,14 +158,14 @@ impl Runner {
         };
         let (mut survey, mut neighbours) = (Survey::default(), Neighbours::new(kept as usize));
         // Demonstrations that contradict the others have no part in the thresholds.
-        each(&mut |own, kept| {
+        each(Values::Read, &mut |own, kept| {
             if kept {
                 survey.add(own);
                 neighbours.sample(own);
             }
             Ok(())
         })?;
-        each(&mut |own, kept| {
+        each(Values::Skip, &mut |own, kept| {
             if kept {
                 neighbours.compare(own);
             }
@@ -176,7 +176,7 @@ impl Runner {
             .with_recorded_goals(recorded_goals(episodes)?);
         let mut copies = Copies::new(&thresholds);
         let mut table = writer.rows()?;
-        each(&mut |own, _| Ok(table.extend(copies.add(own))?))?;
+        each(Values::Skip, &mut |own, _| Ok(table.extend(copies.add(own))?))?;
         summary["copies"] = json!(table.rows());
         table.finish()?;
         bar.finish_and_clear();
@@ -191,14 +191,29 @@ impl Runner {
     }
 }
 
+/// Whether the measured values of demonstrations are read, which are most of the rows.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Values {
+    Read,
+    Skip,
+}
+
 /// The observations of a part, and whether each demonstration was kept.
-fn observed(part: &Artifact) -> Result<Vec<(Observation, bool)>> {
-    let mut measured = ByEpisode::open(part, |row: &MeasuredRow| row.episode)?;
+fn observed(part: &Artifact, values: Values) -> Result<Vec<(Observation, bool)>> {
+    let mut measured = match values {
+        Values::Read => Some(ByEpisode::open(part, |row: &MeasuredRow| row.episode)?),
+        Values::Skip => None,
+    };
     let observed = part.read::<ObservationRow>()?.into_iter().map(|row| {
         let (episode, kept) = (row.episode, row.kept);
-        // Every demonstration has measured values.
-        let values = measured.next().transpose()?.filter(|(number, _)| *number == episode);
-        let observation = values.and_then(|(_, values)| row.into_observation(&values));
+        let observation = match &mut measured {
+            None => row.into_observation(&[]),
+            // Every demonstration has measured values.
+            Some(measured) => {
+                let values = measured.next().transpose()?.filter(|(number, _)| *number == episode);
+                values.and_then(|(_, values)| row.into_observation(&values))
+            }
+        };
         Ok((observation.or_fault(|| unusable(part))?, kept))
     });
     observed.collect()
