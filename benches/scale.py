@@ -59,11 +59,14 @@ def run(commands, parallel, cost, folder, merge=False):
         while waiting and len(running) < parallel:
             command = waiting.pop()
             with open(log, "ab") as errors:
-                running[start(command, folder, errors).pid] = command
+                process = start(command, folder, errors)
+                # Without a reference to it, the next Popen would wait for it instead of wait4.
+                running[process.pid] = (process, command)
         pid, status, usage = os.wait4(-1, 0)
-        command = running.pop(pid)
+        process, command = running.pop(pid)
+        process.returncode = os.waitstatus_to_exitcode(status)
         if status:
-            sys.exit(f"{' '.join(command)}: status {os.waitstatus_to_exitcode(status)}; see {log}")
+            sys.exit(f"{' '.join(command)}: status {process.returncode}; see {log}")
         cost.add(usage, merge)
     cost.wall += time.perf_counter() - begin
 
