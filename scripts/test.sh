@@ -24,7 +24,7 @@ cargo fetch --locked
 check "setting up Python" scripts/setup-python.sh
 check "setting up the server that simulates S3" scripts/setup-moto.sh
 check "setting up the simulators" scripts/setup-simulators.sh
-check "setting up Slurm" scripts/setup-engines.sh
+check "setting up Slurm and GlusterFS" scripts/setup-engines.sh
 . scripts/test-environment.sh
 RE4_TEST_LOGS="$PWD/target/test-logs"
 export RE4_TEST_LOGS

@@ -52,9 +52,7 @@ impl Library {
 
 /// Temporary folders of a process: `.tmp-WHAT-HOST-BOOT-NAMESPACE-PROCESS-START-RANDOM`.
 fn unfinished(place: &Place, process: u32) -> Vec<PathBuf> {
-    let entries = fs::read_dir(place.artifacts().join(".unfinished"))
-        .into_iter()
-        .flatten();
+    let entries = fs::read_dir(place.artifacts()).into_iter().flatten();
     let of_process = |path: &PathBuf| {
         let name = path.file_name().unwrap().to_str().unwrap();
         name.split('-').nth(5) == Some(&process.to_string())

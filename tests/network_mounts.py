@@ -168,18 +168,18 @@ class Task:
 
     def caught(self, artifacts):
         """Stops the process while it writes a part, after it has published another one. False if it has ended before."""
-        unfinished, seen = f"{artifacts}/.unfinished", set()
+        seen = set()
         while self.process.poll() is None:
             own = set()
             with contextlib.suppress(OSError):
                 # .tmp-WHAT-HOST-BOOT-NAMESPACE-PROCESS-START-RANDOM
-                own = {name for name in os.listdir(unfinished) if name.split("-")[5:6] == [str(self.pid)]}
+                own = {name for name in os.listdir(artifacts) if name.split("-")[5:6] == [str(self.pid)]}
             seen |= own
             if own and len(seen) > 1:
                 os.kill(self.pid, signal.SIGSTOP)
                 # What it had asked the file system for may still be done.
                 time.sleep(0.1)
-                if any(os.path.exists(f"{unfinished}/{name}") for name in own):
+                if any(os.path.exists(f"{artifacts}/{name}") for name in own):
                     return True
                 os.kill(self.pid, signal.SIGCONT)
             time.sleep(0.001)
@@ -197,10 +197,14 @@ def hashes(artifacts):
     for folder, _, names in os.walk(artifacts):
         for name in names:
             path = os.path.relpath(os.path.join(folder, name), artifacts)
-            if not path.startswith(("runs/", ".unfinished/")):
+            if not path.startswith(("runs/", ".tmp-")):
                 with open(os.path.join(folder, name), "rb") as file:
                     found[path] = hashlib.sha256(file.read()).hexdigest()
     return found
+
+
+def unfinished(artifacts):
+    return sorted(name for name in os.listdir(artifacts) if name.startswith(".tmp-"))
 
 
 def parts(artifacts):
@@ -293,15 +297,15 @@ class Run:
         if self.victim.process.returncode == 0 or "panicked" in text or "changed while" in text or "error: " not in text:
             fail(f"the task whose mount was lost ended with {self.victim.process.returncode}: {text}")
         print(f"  the task of node 1 ended with {self.victim.process.returncode}: {text.strip().splitlines()[-1]}")
-        left = os.listdir(f"{self.artifacts}/.unfinished")
+        left = unfinished(self.artifacts)
         unmount(self.mounts.folder, 1)
         self.mounts.mount(1)
         *_, last = self.groups
         for node, expected in [(2, left), (1, [])]:
             self.task(node, next(tasks(last))).done()
-            found = os.listdir(f"{self.artifacts}/.unfinished") if os.path.exists(f"{self.artifacts}/.unfinished") else []
+            found = unfinished(self.artifacts)
             if found != expected:
-                fail(f"after a task of node {node}, .unfinished has {found}, not {expected}")
+                fail(f"after a task of node {node}, the unfinished folders are {found}, not {expected}")
         return f"{len(left)} unfinished folder of node 1 kept by node 2, removed by node 1"
 
     def after_frozen(self):
@@ -358,8 +362,8 @@ def main():
             seconds = time.monotonic() - begin
             more = {"killed": run.after_killed, "frozen": run.after_frozen, "both": lambda: None}[name]()
             compare(name, hashes(run.artifacts), expected)
-            if os.path.exists(f"{run.artifacts}/.unfinished"):
-                fail(f"run {name} left {os.listdir(f'{run.artifacts}/.unfinished')}")
+            if unfinished(run.artifacts):
+                fail(f"run {name} left {unfinished(run.artifacts)}")
             facts = ["same bytes"]
             if run.moment is not None:
                 facts.append(f"disturbed after {run.moment} parts")

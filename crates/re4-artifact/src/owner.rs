@@ -102,30 +102,33 @@ impl Owner {
     }
 }
 
-/// Whether the writer of a temporary folder or file no longer runs. In doubt, it is kept until it is old.
+/// Whether this is a temporary folder or file whose writer no longer runs. In doubt, it is kept until it is old.
 pub(crate) fn is_leftover(temporary: &Path) -> bool {
     let name = temporary.file_name().map(|name| name.to_string_lossy().into_owned());
-    let ended = name.and_then(|name| Owner::of(&name)).and_then(|owner| {
-        let free = File::open(temporary).ok().and_then(|file| match file.try_lock() {
-            Ok(()) => Some(true),
-            Err(TryLockError::WouldBlock) => Some(false),
-            Err(TryLockError::Error(_)) => None,
-        });
-        owner.has_ended(&Owner::current(), free)
+    // Whatever has another name is not temporary.
+    let Some(owner) = name.and_then(|name| Owner::of(&name)) else {
+        return false;
+    };
+    let free = File::open(temporary).ok().and_then(|file| match file.try_lock() {
+        Ok(()) => Some(true),
+        Err(TryLockError::WouldBlock) => Some(false),
+        Err(TryLockError::Error(_)) => None,
     });
-    ended.unwrap_or_else(|| age(temporary).is_some_and(|age| age > ABANDONED))
+    let ended = owner.has_ended(&Owner::current(), free);
+    ended.unwrap_or_else(|| is_abandoned(temporary))
 }
 
-/// Time since the last change of a folder and of the files in it, or of a file; `None` if it is unknown.
-fn age(path: &Path) -> Option<Duration> {
-    let modified = |path: &Path| fs::symlink_metadata(path).and_then(|metadata| metadata.modified()).ok();
-    let inside = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
-    let last = inside
-        .filter_map(|entry| modified(&entry.path()))
-        .chain(modified(path))
-        .max()?;
-    // A time in the future, by another machine's clock, is not old.
-    SystemTime::now().duration_since(last).ok()
+/// Whether the last change of a temporary folder and of the files in it is long ago. The files of a folder that is young are not looked at:
+/// a network file system could then show their length of this moment when they are published.
+fn is_abandoned(temporary: &Path) -> bool {
+    let old = |path: &Path| {
+        let modified = fs::symlink_metadata(path).and_then(|metadata| metadata.modified()).ok();
+        // A time in the future, by another machine's clock, is not old.
+        let age = modified.and_then(|modified| SystemTime::now().duration_since(modified).ok());
+        age.is_some_and(|age| age > ABANDONED)
+    };
+    let inside = || fs::read_dir(temporary).into_iter().flatten().filter_map(Result::ok);
+    old(temporary) && inside().all(|entry| old(&entry.path()))
 }
 
 /// When a process of this machine started, in clock ticks since the boot; `None` if there is no such process.
@@ -209,25 +212,27 @@ mod tests {
     #[test]
     fn the_files_of_another_machine_are_left_until_they_are_old() {
         let root = tempfile::tempdir().unwrap();
-        let nameless = root.path().join(".tmp-0123456789abcdef-xyz");
-        let elsewhere = root.path().join(".tmp-0123456789abcdef-node17-b-n-1-2-xyz");
-        for folder in [nameless, elsewhere] {
-            fs::create_dir(&folder).unwrap();
+        let folder = root.path().join(".tmp-0123456789abcdef-node17-b-n-1-2-xyz");
+        let other = root.path().join(".tmp-0123456789abcdef-xyz");
+        for folder in [&folder, &other] {
+            fs::create_dir(folder).unwrap();
             let table = folder.join("table.parquet");
             fs::write(&table, "half").unwrap();
-            assert!(!is_leftover(&folder));
-            old(&folder, ABANDONED + Duration::from_mins(1));
+            assert!(!is_leftover(folder));
+            old(folder, ABANDONED + Duration::from_mins(1));
             // The table was written to a moment ago.
-            assert!(!is_leftover(&folder));
+            assert!(!is_leftover(folder));
             old(&table, ABANDONED + Duration::from_mins(1));
-            assert!(is_leftover(&folder));
-            // The clock of the machine is ahead.
-            File::open(&table)
-                .unwrap()
-                .set_modified(SystemTime::now() + ABANDONED)
-                .unwrap();
-            assert!(!is_leftover(&folder));
         }
+        assert!(is_leftover(&folder));
+        // The clock of the machine is ahead.
+        File::open(folder.join("table.parquet"))
+            .unwrap()
+            .set_modified(SystemTime::now() + ABANDONED)
+            .unwrap();
+        assert!(!is_leftover(&folder));
+        // Not the name of a temporary folder.
+        assert!(!is_leftover(&other));
     }
 
     #[test]

@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::fs;
+use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,6 @@ use crate::disk::sync_folder;
 use crate::error::{ArtifactError, Damage};
 use crate::key::{Key, Recipe};
 use crate::manifest::{Division, MANIFEST_NAME, Manifest, PART_MANIFEST_NAME, PARTS, TablePart, TableSummary};
-use crate::owner::prefix;
 use crate::reader::Artifact;
 use crate::store::Store;
 use crate::writer::{ArtifactSummary, Publication, Writer, same_bytes};
@@ -196,27 +195,21 @@ impl Store {
         let path = folder.join(MANIFEST_NAME);
         let write = |error| ArtifactError::io("write", &path)(error);
         let _publication = Publication::wait();
-        let mut file = self
-            .temporary(|unfinished| {
-                tempfile::Builder::new()
-                    .prefix(&prefix("manifest"))
-                    .tempfile_in(unfinished)
+        let temporary = self.temporary("manifest").map_err(write)?;
+        let file = temporary.path().join(MANIFEST_NAME);
+        let text = manifest.to_text()?;
+        File::create_new(&file)
+            .and_then(|mut file| {
+                file.write_all(text.as_bytes())?;
+                file.sync_all()
             })
             .map_err(write)?;
-        file.write_all(manifest.to_text()?.as_bytes())
-            .and_then(|()| file.as_file().sync_all())
-            .map_err(write)?;
-        let published = match fs::hard_link(file.path(), &path) {
+        let published = match fs::hard_link(&file, &path) {
             // The file system has no hard links. Every writer of this name writes the same bytes, or the comparison below fails.
-            Err(error) if !path.exists() && error.kind() != io::ErrorKind::NotFound => {
-                file.persist(&path).map(drop).map_err(|error| error.error)
-            }
-            linked => {
-                drop(file);
-                linked
-            }
+            Err(error) if !path.exists() && error.kind() != io::ErrorKind::NotFound => fs::rename(&file, &path),
+            linked => linked,
         };
-        self.remove_if_empty();
+        drop(temporary);
         match published {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             published => published.map_err(write)?,

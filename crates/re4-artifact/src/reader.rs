@@ -1,7 +1,7 @@
 //! Reading artifacts: manifests, and verification of the files that they list.
 
 use std::collections::BTreeSet;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -158,8 +158,10 @@ impl Artifact {
             fetch_part_of(&self.path, file)?;
         }
         let file = file.to_owned();
+        let open = || File::open(&path).and_then(|file| file.metadata());
         let found = match fs::metadata(&path) {
-            Ok(metadata) if metadata.is_file() => metadata.len(),
+            // That of the opened file, because network file systems look at a file anew when it is opened.
+            Ok(metadata) if metadata.is_file() => open().map_err(ArtifactError::io("read", &path))?.len(),
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 return Err(ArtifactError::io("read", &path)(error));
             }

@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Serialize;
 use serde_json::Value;
+use tempfile::TempDir;
 
 use crate::canonical::{canonical_json, canonical_text};
 use crate::disk::is_gone;
@@ -22,13 +23,6 @@ use crate::remote::{Connection, connection};
 use crate::writer::{Publication, Writer, remove_own};
 
 const RUNS: &str = "runs";
-
-/// Folder of the temporary files and folders of all writers. It is apart from the artifacts, so that leftovers are found without
-/// listing these, and removed when it is empty.
-const UNFINISHED: &str = ".unfinished";
-
-/// How often the creation of a temporary file is tried while other processes remove the folder for it.
-const ATTEMPTS: usize = 1_000;
 
 /// A folder of artifacts.
 ///
@@ -86,7 +80,6 @@ impl Store {
     pub fn abandon(&self) -> impl Sized + use<> {
         let publication = Publication::wait();
         remove_own();
-        self.remove_if_empty();
         publication
     }
 
@@ -196,13 +189,13 @@ impl Store {
     pub(crate) fn write_record(&self, path: &Path, text: &[u8]) -> Result<(), ArtifactError> {
         let folder = self.root.join(RUNS);
         fs::create_dir_all(&folder).map_err(ArtifactError::io("create the folder", &folder))?;
-        let mut file = self
-            .temporary(|unfinished| tempfile::Builder::new().prefix(&prefix("run")).tempfile_in(unfinished))
-            .map_err(ArtifactError::io("write", path))?;
-        file.write_all(text).map_err(ArtifactError::io("write", path))?;
-        file.persist(path)
-            .map_err(|error| ArtifactError::io("write", path)(error.error))?;
-        self.remove_if_empty();
+        let write = || -> io::Result<()> {
+            let temporary = self.temporary("run")?;
+            let file = temporary.path().join("run.json");
+            fs::write(&file, text)?;
+            fs::rename(&file, path)
+        };
+        write().map_err(ArtifactError::io("write", path))?;
         Ok(())
     }
 
@@ -211,31 +204,18 @@ impl Store {
         serde_json::from_slice(&fs::read(record(root, stage.as_str(), key)).ok()?).ok()
     }
 
-    /// Creates a temporary file or folder with `create`, which gets the folder for it.
-    pub(crate) fn temporary<T>(&self, create: impl Fn(&Path) -> io::Result<T>) -> io::Result<T> {
-        let unfinished = self.root.join(UNFINISHED);
-        let attempt = || {
-            fs::create_dir_all(&unfinished)?;
-            create(&unfinished)
-        };
-        for _ in 0..ATTEMPTS {
-            match attempt() {
-                // Another process has removed the folder because it was empty. If that happens right after this one has found that the
-                // folder exists, the error says that it exists.
-                Err(error) if is_gone(&error) || error.kind() == io::ErrorKind::AlreadyExists => {}
-                created => return created,
-            }
-        }
-        attempt()
-    }
-
-    /// Removes the folder of temporary files if it is empty.
-    pub(crate) fn remove_if_empty(&self) {
-        let _ = fs::remove_dir(self.root.join(UNFINISHED));
+    /// Creates a temporary folder in the root, so that leftovers are found without listing the artifacts.
+    ///
+    /// Network file systems keep what they know about a path for some time. So the folder is not in one that is removed when it is empty, as
+    /// other machines would fail in a new one of the same name. And temporary files are in such folders, where other machines do not look
+    /// at them, as they would take the length of that moment for that of the published file.
+    pub(crate) fn temporary(&self, what: &str) -> io::Result<TempDir> {
+        fs::create_dir_all(&self.root)?;
+        tempfile::Builder::new().prefix(&prefix(what)).tempdir_in(&self.root)
     }
 
     fn remove_leftovers(&self) -> Result<(), ArtifactError> {
-        for path in entries(&self.root.join(UNFINISHED))? {
+        for path in entries(&self.root)? {
             if !is_leftover(&path) {
                 continue;
             }
@@ -250,7 +230,6 @@ impl Store {
                 removed => removed.map_err(ArtifactError::io("remove the leftover", &path))?,
             }
         }
-        self.remove_if_empty();
         Ok(())
     }
 }
@@ -301,54 +280,17 @@ fn file_states(folder: &Path) -> io::Result<Vec<FileState>> {
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ArtifactError> {
     let listing = match fs::read_dir(folder) {
         Ok(listing) => listing,
-        Err(error) if is_gone(&error) => return Ok(Vec::new()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(ArtifactError::io("list", folder)(error)),
     };
-    let mut found = Vec::new();
-    for entry in listing {
-        match entry {
-            Err(error) if is_gone(&error) => break,
-            entry => found.push(entry.map_err(ArtifactError::io("list", folder))?.path()),
-        }
-    }
-    Ok(found)
+    listing
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<Result<_, _>>()
+        .map_err(ArtifactError::io("list", folder))
 }
 
 /// Whether the folder of an artifact has nothing but the folder of its parts, or nothing at all because that is created next.
 fn is_begun(folder: &Path) -> bool {
     fs::read_dir(folder)
         .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == PARTS)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::cell::Cell;
-
-    #[test]
-    fn a_temporary_file_is_created_although_others_remove_its_folder() {
-        let root = tempfile::tempdir().unwrap();
-        let store = Store::open(root.path()).unwrap();
-        for kind in [
-            io::ErrorKind::NotFound,
-            io::ErrorKind::StaleNetworkFileHandle,
-            io::ErrorKind::AlreadyExists,
-        ] {
-            let attempts = Cell::new(0);
-            let created = store.temporary(|unfinished| {
-                assert!(unfinished.is_dir());
-                attempts.set(attempts.get() + 1);
-                if attempts.get() < 4 {
-                    fs::remove_dir(unfinished)?;
-                    return Err(kind.into());
-                }
-                fs::write(unfinished.join("x"), "")?;
-                fs::remove_file(unfinished.join("x"))
-            });
-            created.unwrap();
-            assert_eq!(attempts.get(), 4);
-            // An error that stays is returned.
-            assert_eq!(store.temporary(|_| Err::<(), _>(kind.into())).unwrap_err().kind(), kind);
-        }
-    }
 }

@@ -23,7 +23,7 @@ use crate::disk::{is_gone, sync_folder};
 use crate::error::ArtifactError;
 use crate::key::Recipe;
 use crate::manifest::{Division, FileSummary, Manifest, TableSummary};
-use crate::owner::{hold, prefix};
+use crate::owner::hold;
 use crate::parts::Part;
 use crate::reader::Artifact;
 use crate::spec::{ColumnKind, TableSpec};
@@ -65,19 +65,16 @@ pub struct Writer {
 pub(crate) struct Temporary {
     folder: Option<TempDir>,
     path: PathBuf,
-    store: Store,
 }
 
 impl Temporary {
     fn new(store: &Store, key: &str) -> Result<Self, ArtifactError> {
-        let prefix = prefix(key);
         let folder = store
-            .temporary(|unfinished| tempfile::Builder::new().prefix(&prefix).tempdir_in(unfinished))
+            .temporary(key)
             .map_err(ArtifactError::io("create a temporary folder in", store.root()))?;
         Ok(Self {
             path: folder.path().to_path_buf(),
             folder: Some(folder),
-            store: store.clone(),
         })
     }
 
@@ -96,13 +93,6 @@ impl Temporary {
     /// To be called after the folder was renamed, so that nothing is at its path.
     pub(crate) fn published(mut self) {
         let _ = self.folder.take().map(TempDir::keep);
-    }
-}
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        drop(self.folder.take());
-        self.store.remove_if_empty();
     }
 }
 

@@ -63,7 +63,7 @@ def test_an_interrupt_ends_the_command_and_leaves_no_unfinished_artifact(demo: r
     def interrupt() -> None:
         begun.wait()
         # The rollouts take seconds; the signal arrives after their unfinished folder exists.
-        while not list(tmp_path.glob(".unfinished/*")) and not list(tmp_path.glob("rollouts/*")):
+        while not list(tmp_path.glob(".tmp-*")) and not list(tmp_path.glob("rollouts/*")):
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -83,7 +83,7 @@ def test_an_interrupt_ends_the_command_and_leaves_no_unfinished_artifact(demo: r
         signal.signal(signal.SIGINT, before)
     thread.join()
     assert not (tmp_path / "rollouts").exists()
-    assert not (tmp_path / ".unfinished").exists()
+    assert not list(tmp_path.glob(".tmp-*"))
     assert len(list((tmp_path / "index").iterdir())) == 1
 
 

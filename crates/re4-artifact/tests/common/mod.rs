@@ -143,14 +143,17 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// Returns the names in the folder of the artifacts of the sample's stage, sorted.
+/// Returns the names of the artifacts of the sample's stage and of temporary files and folders, sorted.
 pub fn artifact_names(root: &Path) -> Vec<String> {
-    let mut names = Vec::new();
-    for folder in [Stage::Segment.artifact(), ".unfinished"] {
-        if let Ok(listing) = fs::read_dir(root.join(folder)) {
-            names.extend(listing.map(|entry| entry.unwrap().file_name().into_string().unwrap()));
-        }
-    }
-    names.sort();
-    names
+    let names = |folder: &Path| -> Vec<String> {
+        let listing = fs::read_dir(folder).into_iter().flatten();
+        listing
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect()
+    };
+    let mut found = names(root);
+    found.retain(|name| name.starts_with(".tmp-"));
+    found.extend(names(&root.join(Stage::Segment.artifact())));
+    found.sort();
+    found
 }

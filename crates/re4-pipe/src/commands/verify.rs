@@ -66,7 +66,12 @@ fn all_artifacts(root: &Path) -> Result<Vec<PathBuf>> {
         Ok(paths)
     };
     let mut found = Vec::new();
-    for kind in listing(root)?.into_iter().filter(|path| path.is_dir()) {
+    // Names of unfinished artifacts start with a dot.
+    let hidden = |path: &Path| {
+        path.file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with('.'))
+    };
+    for kind in listing(root)?.into_iter().filter(|path| path.is_dir() && !hidden(path)) {
         found.extend(
             listing(&kind)?
                 .into_iter()
