@@ -1,23 +1,28 @@
 //! Pipelines in parts: the same bytes for any number of processes in any order, and nothing is published before it is complete.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::support::{Place, repository};
+use crate::support::{Place, dataset, repository};
 use re4_artifact::{Artifact, ByEpisode, Row as _, TableSpec};
 use re4_audit::{
     AuditConfig, Basis, CHECKS, CheckRow, FindingRow, FingerUnit, GraspLimits, Observation, SpatialDemo, Thresholds,
     audit_copies, audit_spatial, observe_spatial,
 };
-use re4_episode::{Mode, SpatialEpisode};
-use re4_ingest::{DemoRow, EpisodeRow, FrameRow, SpatialColumns};
+use re4_episode::{Mode, PlanarFrame, SpatialEpisode};
+use re4_geometry::{Point2, Pose2};
+use re4_index::{AngleMetric, IndexRow, IndexedFrame, Normalization, PlanarState, Query, ScaleRow, retrieve_linear};
+use re4_ingest::{DemoRow, EpisodeRow, FrameRow, PlanarColumns, SpatialColumns};
+use re4_policy::kinds::PlaneRe4Row;
+use re4_policy::{Chunk, DemoSet, collect_chunks};
 use re4_pose::spatial::{Demonstration, GraspPhase, evaluate};
-use re4_pose::{PoseErrorRow, PoseRow, SpatialEstimate};
+use re4_pose::{Estimate, Flag, PoseErrorRow, PoseRow, SpatialEstimate, between_clear};
+use re4_rollout::PlaneDecisionRow;
 use re4_scores::{Motion, ScoreRow, Sketch};
-use re4_segment::{GripperConfig, ModeRow, SegmentConfig, SpatialEvidence, segment_spatial};
+use re4_segment::{Evidence, GripperConfig, ModeRow, SegmentConfig, SpatialEvidence, segment_spatial};
 use serde_json::Value;
 
 /// Three parts of 256 demonstrations, the last one short.
@@ -490,7 +495,10 @@ fn a_plan_lists_the_tasks_and_what_is_missing() {
     succeeds(&place, "artifacts", &["index", "many.toml", "--shard", "0/2"]);
     for _ in 0..2 {
         let status = succeeds(&place, "artifacts", &["status", "plan.json"]);
-        assert!(status.contains("index            3/3  all parts made, not merged"), "{status}");
+        assert!(
+            status.contains("index            3/3  all parts made, not merged"),
+            "{status}"
+        );
     }
     assert_eq!(ids(&plan(&["--missing"]))[0], ("index.merge".to_owned(), 1));
 }
@@ -561,4 +569,235 @@ fn a_stage_of_one_part_is_made_by_one_share() {
     let (code, text) = run(&place, "artifacts", &["run", "small.toml", "--shard", "0/2"]);
     assert_eq!(code, 2);
     assert!(text.contains("--shard does not apply to this command"), "{text}");
+}
+
+/// More than two parts of 256 demonstrations of Push-T.
+const PUSHES: u32 = 520;
+
+/// What an index of Push-T must contain, from demonstrations in memory.
+struct PlaneOracle {
+    frames: Vec<IndexedFrame>,
+    rows: Vec<IndexRow<PlanarState>>,
+    chunks: Vec<Chunk>,
+    normalization: Normalization,
+}
+
+/// Computes the index of all demonstrations together. `clear` is the pose of a frame; `None` if it has to be interpolated.
+fn plane_oracle(place: &Place, artifacts: &str, clear: impl Fn(usize, Pose2) -> Option<Pose2>) -> PlaneOracle {
+    let recorded = only(place, artifacts, "episodes")
+        .read::<FrameRow<PlanarColumns>>()
+        .unwrap();
+    let modes = only(place, artifacts, "modes").read::<ModeRow<Evidence>>().unwrap();
+    let (mut demos, mut blanks, mut frames, mut actions) = (Vec::new(), BTreeSet::new(), Vec::new(), Vec::new());
+    let mut at = 0;
+    for of in recorded.chunk_by(|a, b| a.episode == b.episode) {
+        let number = of[0].episode;
+        let known: Vec<_> = (at..)
+            .zip(of)
+            .map(|(at, row)| clear(at, row.recorded.object.unwrap()))
+            .collect();
+        let start = at;
+        at += of.len();
+        let Some(poses) = between_clear(&known) else { continue };
+        blanks.extend(
+            (0..)
+                .zip(&known)
+                .filter(|(_, pose)| pose.is_none())
+                .map(|(frame, _)| (number, frame)),
+        );
+        let mut of_demo = Vec::new();
+        for (place, (row, object)) in (start..).zip(of.iter().zip(poses)) {
+            assert_eq!((modes[place].episode, modes[place].frame), (number, row.frame));
+            frames.push(IndexedFrame {
+                episode: number,
+                frame: row.frame,
+                mode: modes[place].mode,
+                eef: row.recorded.eef,
+                object,
+            });
+            actions.push(row.recorded.action);
+            of_demo.push(PlanarFrame {
+                eef: row.recorded.eef,
+                object,
+                action: row.recorded.action,
+                contacts: f64::NAN,
+            });
+        }
+        demos.push((number, of_demo));
+    }
+    let normalization = Normalization::over(&frames, AngleMetric::Periodic);
+    let row = |(frame, action): (&IndexedFrame, &Point2)| IndexRow {
+        episode: frame.episode,
+        frame: frame.frame,
+        mode: frame.mode,
+        state: PlanarState {
+            eef: frame.eef,
+            object: frame.object,
+            action: *action,
+            q: normalization.frame(frame),
+        },
+        retrievable: Some(!blanks.contains(&(frame.episode, frame.frame))),
+    };
+    let mut chunks = collect_chunks(&DemoSet::new(demos), 128);
+    chunks.retain(|chunk| (chunk.start..=chunk.end).all(|frame| !blanks.contains(&(chunk.demo, frame))));
+    PlaneOracle {
+        rows: frames.iter().zip(&actions).map(row).collect(),
+        frames,
+        chunks,
+        normalization,
+    }
+}
+
+/// Compares all tables and the summary of an index in parts with those of all demonstrations in memory.
+fn index_is_that_of_all_demonstrations_together(index: &Artifact, oracle: &PlaneOracle) {
+    let rows = index.read::<IndexRow<PlanarState>>().unwrap();
+    assert_eq!(rows.len(), oracle.rows.len());
+    let different = rows
+        .iter()
+        .zip(&oracle.rows)
+        .find(|(found, expected)| found != expected);
+    assert!(different.is_none(), "{different:?}");
+    assert_eq!(index.read::<Chunk>().unwrap(), oracle.chunks);
+    let scales = index.read::<ScaleRow>().unwrap();
+    let scales: Vec<_> = scales.iter().map(|row| (row.minimum, row.maximum)).collect();
+    let ranges = oracle.normalization.ranges.map(|range| (range.minimum, range.maximum));
+    assert_eq!(scales, ranges);
+    let episodes: BTreeSet<u32> = rows.iter().map(|row| row.episode).collect();
+    let retrievable = rows.iter().filter(|row| row.retrievable == Some(true)).count();
+    assert_eq!(
+        index.manifest().summary,
+        serde_json::json!({ "episodes": episodes.len(), "frames": retrievable, "chunks": oracle.chunks.len() })
+    );
+}
+
+/// The groups of a plan with two shards: id, number of tasks, and the tasks that remain.
+fn groups(place: &Place, pipeline: &str, more: &[&str]) -> Vec<(String, u64, Value)> {
+    let arguments = [&["plan", pipeline, "--shards", "2", "--json"], more].concat();
+    let plan: Value = serde_json::from_str(&succeeds(place, "parts", &arguments)).unwrap();
+    let groups = plan["groups"].as_array().unwrap().iter();
+    let group = |group: &Value| {
+        (
+            group["id"].as_str().unwrap().to_owned(),
+            group["count"].as_u64().unwrap(),
+            group["indices"].clone(),
+        )
+    };
+    groups.map(group).collect()
+}
+
+fn group(id: &str, count: u64, indices: Value) -> (String, u64, Value) {
+    (id.to_owned(), count, indices)
+}
+
+/// Makes the index in shards, of which one is missing at first, and compares it with that of one process.
+fn index_in_shards(place: &Place, pipeline: &str) {
+    succeeds(place, "one", &["index", pipeline, "--jobs", "2"]);
+    let parts = only(place, "one", "index").parts();
+    succeeds(place, "parts", &["segment", pipeline]);
+    for shard in ["0/7", "6/7", "4/7", "4/7"] {
+        succeeds(place, "parts", &["index", pipeline, "--shard", shard]);
+    }
+    let (code, text) = run(place, "parts", &["merge", "index", pipeline]);
+    assert_eq!(code, 3, "{text}");
+    assert!(
+        text.contains(&format!("1 of its {parts} parts are missing: 0;")),
+        "{text}"
+    );
+    let missing = groups(place, pipeline, &["--missing"]);
+    assert_eq!(missing[0], group("index", 2, serde_json::json!([0])));
+    succeeds(place, "parts", &["index", pipeline, "--shard", "0/2"]);
+    succeeds(place, "parts", &["merge", "index", pipeline]);
+    assert_same(place, "one", "parts");
+    succeeds(place, "one", &["verify"]);
+}
+
+#[test]
+fn the_index_of_push_t_in_parts_is_that_of_all_demonstrations() {
+    let place = Place::empty();
+    dataset::write(&place.dataset(), PUSHES, false);
+    // The dataset is counted before it is ingested.
+    let expected = [
+        group("ingest", 1, Value::Null),
+        group("segment", 1, Value::Null),
+        group("index", 2, Value::Null),
+        group("index.merge", 1, Value::Null),
+        group("rollout", 1, Value::Null),
+    ];
+    assert_eq!(groups(&place, "small.toml", &[]), expected);
+    succeeds(&place, "parts", &["ingest", "small.toml"]);
+    assert_eq!(groups(&place, "small.toml", &["--missing"]), expected[1..]);
+    index_in_shards(&place, "small.toml");
+    let index = only(&place, "one", "index");
+    assert_eq!((index.parts(), only(&place, "one", "episodes").parts()), (3, 1));
+    // Each part has its own demonstrations.
+    for part in 0..3 {
+        let rows = index.part(part).unwrap().read::<IndexRow<PlanarState>>().unwrap();
+        let numbers: BTreeSet<u32> = rows.iter().map(|row| row.episode).collect();
+        assert_eq!(numbers, (part * 256..PUSHES.min((part + 1) * 256)).collect());
+    }
+    let oracle = plane_oracle(&place, "one", |_, pose| Some(pose));
+    index_is_that_of_all_demonstrations_together(&index, &oracle);
+    let paper = [
+        "--set",
+        "rollout.policy=paper",
+        "--seeds",
+        "500..530",
+        "--max-steps",
+        "40",
+    ];
+    succeeds(&place, "one", &[&["rollout", "small.toml"][..], &paper].concat());
+    decisions_are_those_of_all_demonstrations_together(&only(&place, "one", "rollouts"), &oracle);
+}
+
+/// Compares every retrieved frame with that of a linear scan over all demonstrations in memory.
+fn decisions_are_those_of_all_demonstrations_together(rollouts: &Artifact, oracle: &PlaneOracle) {
+    let normalization = Normalization {
+        angle: AngleMetric::Raw,
+        ..oracle.normalization
+    };
+    let own = rollouts.read::<PlaneRe4Row>().unwrap();
+    let mut parts = BTreeSet::new();
+    for (decision, re4) in rollouts.read::<PlaneDecisionRow>().unwrap().iter().zip(own) {
+        let query = Query {
+            mode: re4.mode,
+            eef: decision.query_eef,
+            object: decision.query_object.unwrap(),
+        };
+        let found = retrieve_linear(&oracle.frames, &normalization, &query, 0.1)
+            .unwrap()
+            .unwrap();
+        assert_eq!(
+            (decision.core.demo, decision.core.demo_frame, re4.d_q, re4.d_o),
+            (Some(found.episode), Some(found.frame), Some(found.d_q), Some(found.d_o))
+        );
+        parts.insert(found.episode / 256);
+    }
+    assert!(parts.len() > 1, "all decisions are from the parts {parts:?}");
+}
+
+#[test]
+fn the_index_of_estimated_poses_in_parts_is_that_of_all_demonstrations() {
+    let place = Place::empty();
+    // The estimator needs images, which take long to render.
+    dataset::write_short(&place.dataset(), 260, 4);
+    let small = fs::read_to_string(place.path().join("small.toml")).unwrap();
+    let image = small
+        .replace("variant = \"state\"", "variant = \"image\"")
+        .replace(
+            "source = \"small.zarr\"",
+            "source = \"small.zarr\"\nrender = [\"image\"]",
+        )
+        .replace("source = \"recorded\"", "source = \"log_polar\"");
+    place.write("image.toml", image);
+    succeeds(&place, "parts", &["train-pose", "image.toml"]);
+    index_in_shards(&place, "image.toml");
+    let poses = only(&place, "one", "poses");
+    let index = only(&place, "one", "index");
+    assert_eq!((index.parts(), poses.parts()), (2, 1));
+    let estimates = poses.read::<PoseRow<Estimate>>().unwrap();
+    let oracle = plane_oracle(&place, "one", |row, _| {
+        let estimate = &estimates[row].estimate;
+        estimate.pose.filter(|_| estimate.flag == Flag::Clear)
+    });
+    index_is_that_of_all_demonstrations_together(&index, &oracle);
 }

@@ -26,6 +26,17 @@ pub(crate) fn write(path: &Path, episodes: u32, images: bool) {
     }
 }
 
+/// As [`write`] without images, with only the first `length` frames of the episodes.
+pub(crate) fn write_short(path: &Path, episodes: u32, length: usize) {
+    let short = |number| {
+        let mut episode = episode(1000 + number);
+        episode.frames.truncate(length);
+        episode
+    };
+    let recorded: Vec<RecordedEpisode> = (0..episodes).map(short).collect();
+    PushtWriter::write(path, &recorded).unwrap();
+}
+
 fn episode(seed: u32) -> RecordedEpisode {
     let mut simulator = PushT::new().unwrap();
     let scene = scene_from_seed(SeedScheme::DiffusionPolicy, seed);

@@ -276,6 +276,14 @@ impl Table {
     /// # Errors
     /// As [`Table::read_all`], and [`ArtifactError::NoColumn`].
     pub fn read_columns(&self, columns: &[&str]) -> Result<RecordBatch, ArtifactError> {
+        let (schema, mask) = self.projection(columns)?;
+        self.concatenated(&schema, |file| {
+            self.collect(self.reader(file, None)?.with_projection(mask.clone()), &schema, None)
+        })
+    }
+
+    /// The schema of some columns in the given order, and which columns of the files they are.
+    fn projection(&self, columns: &[&str]) -> Result<(SchemaRef, ProjectionMask), ArtifactError> {
         let full = self.schema();
         let mut fields = Vec::with_capacity(columns.len());
         for &name in columns {
@@ -295,10 +303,7 @@ impl Table {
             let name = file_columns[i].name().as_str();
             columns.iter().any(|column| self.name_in_file(column) == name)
         });
-        let mask = ProjectionMask::roots(self.metadata.parquet_schema(), chosen);
-        self.concatenated(&schema, |file| {
-            self.collect(self.reader(file, None)?.with_projection(mask.clone()), &schema, None)
-        })
+        Ok((schema, ProjectionMask::roots(self.metadata.parquet_schema(), chosen)))
     }
 
     /// Reads the rows of one row group.
@@ -320,13 +325,30 @@ impl Table {
     /// # Errors
     /// As [`Table::read_all`], and [`ArtifactError::OutOfRange`].
     pub fn read_rows(&self, rows: Range<u64>) -> Result<RecordBatch, ArtifactError> {
+        self.read_rows_as(rows, &self.schema(), &ProjectionMask::all())
+    }
+
+    /// Reads some columns of a range of rows, as one batch with the columns in the given order.
+    ///
+    /// # Errors
+    /// As [`Table::read_rows`], and [`ArtifactError::NoColumn`].
+    pub fn read_columns_of(&self, columns: &[&str], rows: Range<u64>) -> Result<RecordBatch, ArtifactError> {
+        let (schema, mask) = self.projection(columns)?;
+        self.read_rows_as(rows, &schema, &mask)
+    }
+
+    fn read_rows_as(
+        &self,
+        rows: Range<u64>,
+        schema: &SchemaRef,
+        mask: &ProjectionMask,
+    ) -> Result<RecordBatch, ArtifactError> {
         if rows.start > rows.end || rows.end > self.rows() {
             return Err(self.out_of_range(&rows));
         }
         if rows.is_empty() {
-            return Ok(RecordBatch::new_empty(self.schema()));
+            return Ok(RecordBatch::new_empty(Arc::clone(schema)));
         }
-        let schema = self.schema();
         let touched = self
             .files
             .iter()
@@ -335,21 +357,27 @@ impl Table {
             .map(|file| {
                 let start = rows.start.max(file.rows.start) - file.rows.start;
                 let end = rows.end.min(file.rows.end) - file.rows.start;
-                self.read_rows_of(file, start..end, &schema)
+                self.read_rows_of(file, start..end, schema, mask)
             })
             .collect::<Result<Vec<_>, _>>()?;
         match (batches.pop(), batches.is_empty()) {
             (Some(only), true) => Ok(only),
             (last, _) => {
                 batches.extend(last);
-                concat_batches(&schema, &batches)
+                concat_batches(schema, &batches)
                     .map_err(|error| ArtifactError::parquet("read", &self.path)(error.into()))
             }
         }
     }
 
     /// Reads rows of a file, counted from its first row.
-    fn read_rows_of(&self, file: &FileOf, rows: Range<u64>, schema: &SchemaRef) -> Result<RecordBatch, ArtifactError> {
+    fn read_rows_of(
+        &self,
+        file: &FileOf,
+        rows: Range<u64>,
+        schema: &SchemaRef,
+        mask: &ProjectionMask,
+    ) -> Result<RecordBatch, ArtifactError> {
         let size = self.summary.row_group_rows.max(1);
         let groups: Vec<usize> = (rows.start / size..rows.end.div_ceil(size))
             .map(|g| g as usize)
@@ -359,7 +387,7 @@ impl Table {
         // The decoder fills whole batches. A smaller size keeps it from decoding images after the requested ones.
         let size = wanted.end.min(ROWS_PER_BATCH);
         let reader = self.reader(file, Some(groups))?.with_batch_size(size);
-        self.collect(reader, schema, Some(wanted))
+        self.collect(reader.with_projection(mask.clone()), schema, Some(wanted))
     }
 
     /// Reads the rows in order, in batches of bounded size, so that the table does not have to fit in memory.

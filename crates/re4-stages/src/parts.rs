@@ -104,6 +104,9 @@ pub enum Partly {
         parts: u32,
         /// Numbers of the missing parts.
         missing: Vec<u32>,
+        /// Number of demonstrations of the dataset, if they are to be ingested in one part.
+        #[serde(default)]
+        demos: Option<u64>,
     },
     /// The process has run its shard of a suite.
     #[error("{}", of_cells(suite, cells, *all, *parts, [*first, *end], failed))]
@@ -136,6 +139,19 @@ pub enum Partly {
 }
 
 impl Partly {
+    /// The same error, with the number of demonstrations that are to be ingested in one part. Parts of later artifacts depend on it.
+    pub(crate) fn of_demos(error: anyhow::Error, number: usize) -> anyhow::Error {
+        match error.downcast::<Self>() {
+            Ok(mut partly) => {
+                if let Self::Missing { demos, .. } = &mut partly {
+                    *demos = Some(number as u64);
+                }
+                partly.into()
+            }
+            Err(error) => error,
+        }
+    }
+
     /// Whether this is an error: parts are missing. Otherwise the process has done its shard.
     pub fn is_missing(&self) -> bool {
         matches!(self, Self::Missing { .. } | Self::MissingCells { .. })
@@ -217,6 +233,7 @@ impl Share {
                 artifact: artifact(),
                 parts: 1,
                 missing: vec![0],
+                demos: None,
             }
             .into()),
             _ => Ok(()),
@@ -336,6 +353,7 @@ impl Parting<'_> {
             artifact: folder.to_path_buf(),
             parts: self.parts,
             missing,
+            demos: None,
         }
         .into())
     }
@@ -365,6 +383,7 @@ mod tests {
             artifact: "artifacts/episodes/0123".into(),
             parts: 40,
             missing: vec![7, 8],
+            demos: None,
         };
         assert_eq!(
             missing.sentence(),

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context as _, Result};
-use re4_artifact::Stage;
+use re4_artifact::{Row as _, Stage};
+use re4_ingest::EpisodeRow;
 use re4_task::Domain;
 use serde_json::{Value, json};
 
-use crate::parts::{Partly, Share};
+use crate::parts::{DEMOS_IN_PART, Partly, Share, parts_of};
 use crate::pipeline::PoseSource;
 use crate::runner::{Built, Runner};
 
@@ -46,8 +47,23 @@ impl PlannedStage {
     }
 }
 
-/// Folder of an artifact that is not complete, the number of its parts, and the missing ones.
-type Incomplete = (PathBuf, u32, Vec<u32>);
+/// An artifact that is not complete.
+struct Incomplete {
+    folder: PathBuf,
+    parts: u32,
+    missing: Vec<u32>,
+    /// Number of demonstrations, if they are to be ingested in one part.
+    demos: Option<u64>,
+}
+
+/// What is known of the demonstrations before the stages after ingest are looked at.
+#[derive(Default)]
+struct Ingested {
+    /// Number of parts of `episodes`.
+    parts: Option<u32>,
+    /// Number of demonstrations, if `episodes` has one part. Some may still be left out.
+    demos: Option<u64>,
+}
 
 impl Runner {
     /// The stages that a pipeline runs, in order: up to the rollouts, or to the audit if it has no table `[rollout]`.
@@ -142,13 +158,20 @@ impl Runner {
         let mut planned = Vec::new();
         // Stages from the first one whose artifact is not complete are not looked at, because their keys are not known.
         let mut open = true;
-        let mut demos = None;
+        let mut ingested = Ingested::default();
         for stage in self.stages()? {
             // One process audits the demonstrations of one part, without this stage.
-            if stage == Stage::Observe && demos == Some(1) {
+            if stage == Stage::Observe && ingested.parts == Some(1) {
                 continue;
             }
             let looked = if open { Some(self.looking(stage)?) } else { None };
+            if stage == Stage::Ingest {
+                ingested.demos = match &looked {
+                    Some(Ok(built)) => Some(built.artifact.table(EpisodeRow::table())?.rows()),
+                    Some(Err(incomplete)) => incomplete.demos,
+                    None => None,
+                };
+            }
             let of = match looked {
                 Some(Ok(built)) => PlannedStage {
                     stage,
@@ -157,33 +180,33 @@ impl Runner {
                     missing: Some(Vec::new()),
                     done: true,
                 },
-                Some(Err((artifact, parts, missing))) => {
+                Some(Err(incomplete)) => {
                     open = false;
                     PlannedStage {
                         stage,
-                        parts: Some(parts),
-                        artifact: Some(artifact),
-                        missing: Some(missing),
+                        parts: Some(incomplete.parts),
+                        artifact: Some(incomplete.folder),
+                        missing: Some(incomplete.missing),
                         done: false,
                     }
                 }
                 None => PlannedStage {
                     stage,
-                    parts: self.parts_expected(stage, demos)?,
+                    parts: self.parts_expected(stage, &ingested)?,
                     artifact: None,
                     missing: None,
                     done: false,
                 },
             };
             if stage == Stage::Ingest {
-                demos = of.parts;
+                ingested.parts = of.parts;
             }
             planned.push(of);
         }
         Ok(planned)
     }
 
-    /// The artifact of a stage whose inputs exist; if it is not complete, its folder, the number of its parts and the missing ones.
+    /// The artifact of a stage whose inputs exist, or what exists of it if it is not complete.
     fn looking(&self, stage: Stage) -> Result<Result<Built, Incomplete>> {
         let start = Instant::now();
         let found = self.sharing(Share::Look(stage)).artifact_of(stage);
@@ -195,8 +218,14 @@ impl Runner {
                     artifact,
                     parts,
                     missing,
+                    demos,
                     ..
-                }) => Ok(Err((artifact, parts, missing))),
+                }) => Ok(Err(Incomplete {
+                    folder: artifact,
+                    parts,
+                    missing,
+                    demos,
+                })),
                 Ok(other) => Err(other.into()),
                 Err(error) => Err(error),
             },
@@ -204,10 +233,12 @@ impl Runner {
     }
 
     /// Number of parts of an artifact whose inputs do not exist yet.
-    fn parts_expected(&self, stage: Stage, of_demos: Option<u32>) -> Result<Option<u32>> {
+    fn parts_expected(&self, stage: Stage, ingested: &Ingested) -> Result<Option<u32>> {
         Ok(match stage {
-            Stage::Segment | Stage::Observe => of_demos,
-            Stage::Audit | Stage::TrainPose | Stage::Index if !self.pipeline.task.is_planar() => of_demos,
+            Stage::Segment | Stage::Observe => ingested.parts,
+            Stage::Audit | Stage::TrainPose | Stage::Index if !self.pipeline.task.is_planar() => ingested.parts,
+            // The index of Push-T is cut although the demonstrations are not.
+            Stage::Index => ingested.demos.map(|demos| parts_of(demos as usize, DEMOS_IN_PART)),
             Stage::Rollout => self.parts_of_rollouts()?,
             _ => Some(1),
         })

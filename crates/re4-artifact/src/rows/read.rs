@@ -56,12 +56,12 @@ impl Table {
         rows_of(&self.read_columns(&names::<C>())?)
     }
 
-    /// Reads a range of rows. Only the row groups that contain them are decoded.
+    /// Reads a range of rows with the columns of `C`. Only these columns of the row groups that contain the rows are decoded.
     ///
     /// # Errors
     /// As [`Table::read`], and [`ArtifactError::OutOfRange`].
     pub fn read_range<C: Cell>(&self, rows: Range<u64>) -> Result<Vec<C>, ArtifactError> {
-        rows_of(&self.read_rows(rows)?)
+        rows_of(&self.read_columns_of(&names::<C>(), rows)?)
     }
 
     /// Reads the rows in order, with a bounded number of them in memory.

@@ -19,7 +19,7 @@ use super::spool::Spool;
 use super::tables::{ImageTable, Kept, LeftOutFrames, write_tables};
 use crate::inputs::images::encode_png;
 use crate::interrupt::Interrupt;
-use crate::parts::{DEMOS_IN_PART, Parting, Share, parts_of};
+use crate::parts::{DEMOS_IN_PART, Parting, Partly, Share, parts_of};
 use crate::pipeline::IngestSection;
 
 /// Camera name of rendered Push-T images, which is that of the recorded ones.
@@ -77,7 +77,8 @@ impl Ingest<'_> {
         let demos = source.count();
         let parts = parts_of(demos, DEMOS_IN_PART);
         let artifact = if parts == 1 || !source.can_be_read_in_parts() {
-            self.share.builds_whole(store, recipe)?;
+            let whole = self.share.builds_whole(store, recipe);
+            whole.map_err(|error| Partly::of_demos(error, demos))?;
             self.publish_whole(source, store, recipe)?
         } else {
             self.publish_parts(source, store, recipe, parts)?
