@@ -693,6 +693,8 @@ fn group(id: &str, count: u64, indices: Value) -> (String, u64, Value) {
 fn index_in_shards(place: &Place, pipeline: &str) {
     succeeds(place, "one", &["index", pipeline, "--jobs", "2"]);
     let parts = only(place, "one", "index").parts();
+    // It audits, too.
+    succeeds(place, "one", &["segment", pipeline]);
     succeeds(place, "parts", &["segment", pipeline]);
     for shard in ["0/7", "6/7", "4/7", "4/7"] {
         succeeds(place, "parts", &["index", pipeline, "--shard", shard]);
